@@ -1,0 +1,71 @@
+# Two commands matter: `make run` and `make test`. `make help` lists the rest.
+#
+# Needs: make and Python 3.11 or later. Everything else comes into .venv, at the versions of
+# constraints.txt.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
+ARGS   ?=
+
+# Debian packages that some tests need: a software Vulkan driver, to render recordings; a kernel with vcan that
+# boots as an ordinary process, for real SocketCAN where the host has none.
+SYSTEM_PACKAGES := mesa-vulkan-drivers user-mode-linux kmod iproute2 can-utils gcc libc6-dev
+
+.DEFAULT_GOAL := help
+.PHONY: help run test check bench format wheel system-deps pictures clean
+
+help: ## this list
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
+
+run: $(VENV)/.run ## drive a train from station to station in real time; ARGS="…" goes to `hil run`
+	@$(BIN)/hil run $(ARGS)
+
+test: $(VENV)/.dev check ## everything that must hold, from lint to whole runs
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: $(VENV)/.dev ## ruff, mypy --strict and the import rules
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-logo
+
+bench: $(VENV)/.dev ## measure against peers, side by side in one run
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+format: $(VENV)/.dev ## put the source into the project's format
+	@$(BIN)/ruff check --fix
+	@$(BIN)/ruff format
+
+wheel: $(VENV)/.dev ## build dist/*.whl
+	@$(BIN)/python -m build --wheel --outdir dist . > /dev/null
+	@ls dist/*.whl
+
+pictures: $(VENV)/.dev ## render the pictures of the documentation from a fresh run
+	@$(BIN)/python -m docs.pictures
+
+system-deps: ## install the Debian packages that some tests need (root)
+	apt-get update
+	apt-get install --yes --no-install-recommends $(SYSTEM_PACKAGES)
+
+clean: ## remove what the other targets made, recordings excepted
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "make: needs Python 3.11 or later; name one with PYTHON=python3.x" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.pip: constraints.txt | $(VENV)/bin/python
+	@$(PIP) install --constraint constraints.txt --upgrade pip
+	@touch $@
+
+$(VENV)/.run: pyproject.toml constraints.txt $(VENV)/.pip
+	@echo "setting up $(VENV) (once; the viewer alone is 170 MB)"
+	@$(PIP) install --constraint constraints.txt --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml constraints.txt $(VENV)/.run
+	@$(PIP) install --constraint constraints.txt --group dev
+	@touch $@

@@ -1,0 +1,1 @@
+"""Shipped data: lines, trains and scenarios as TOML; `hil.railway.library` finds them."""
