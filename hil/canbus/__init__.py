@@ -1,0 +1,1 @@
+"""The bus: what the DBC says (contract, protection) and what carries it (transport, local)."""
