@@ -1,0 +1,1 @@
+"""The plant: train, drives, brakes, odometry and protection as one node on the bus."""
