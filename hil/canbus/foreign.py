@@ -7,6 +7,7 @@ import select
 import socket
 import time
 from collections import deque
+from collections.abc import Iterable
 
 import can
 
@@ -67,6 +68,11 @@ class ForeignPort:
             raise can.CanOperationError(error.strerror or str(error), error.errno) from None
         if self._hears_itself:
             self._echoes.append((_frame_id(message), bytes(data)))
+
+    def send_raw_all(self, frames: Iterable[tuple[int, bytes | bytearray]], timeout: float | None) -> None:
+        """Send data frames in this order, one by one."""
+        for can_id, data in frames:
+            self.send_raw(can_id, data, timeout)
 
     def drain_raw(self) -> list[Frame]:
         """All data frames that wait, without blocking."""

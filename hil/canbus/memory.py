@@ -45,6 +45,11 @@ class MemoryLink:
             if link is not self and (link._receive is None or can_id in link._receive):
                 link._waiting.append(frame)
 
+    def send_all(self, frames: Iterable[tuple[int, bytes | bytearray]]) -> None:
+        """Hand over frames in this order."""
+        for can_id, data in frames:
+            self.send(can_id, data)
+
     def drain(self) -> list[Frame]:
         """All frames that wait."""
         frames = list(self._waiting)

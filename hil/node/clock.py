@@ -62,6 +62,9 @@ class Clock(Protocol):
     def frames(self) -> list[Frame]:
         """Frames for this cycle, oldest first, their stamps in the domain of `CycleStart.now_ns`."""
 
+    def closing(self) -> list[tuple[int, bytes | bytearray]]:
+        """What the clock itself has to say after the cycle's outputs, to go out with them."""
+
     def finished(self, ended_ns: int) -> bool:
         """The cycle's work ended at monotonic `ended_ns`; True when that was after the next release."""
 
@@ -180,6 +183,10 @@ class RealTimeClock:
             at = stamp - offset
             frames.append(Frame(at if oldest <= at <= now else now, can_id, data))
         return frames
+
+    def closing(self) -> list[tuple[int, bytes | bytearray]]:
+        """Nothing: time passes by itself."""
+        return []
 
     def finished(self, ended_ns: int) -> bool:
         """Choose the next deadline; True when this cycle's work ended after the next release."""

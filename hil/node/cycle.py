@@ -130,12 +130,9 @@ class Node:
         read_ns = monotonic()
         unit.step(start.scheduled_ns, inbox, outbox)
         stepped_ns = monotonic()
-        send = self.transport.send
-        for can_id, data in outbox.collect(statistics.cycles):
-            send(can_id, data)
+        self.transport.send_all(outbox.collect(statistics.cycles) + self.clock.closing())
         sent_ns = monotonic()
         if self.ring is not None:
-            # Before the clock acknowledges: a bench that has seen SyncDone finds the record.
             self.ring.append(
                 statistics.cycles, start.scheduled_ns, start.woke_ns, read_ns, stepped_ns, sent_ns,
                 start.skipped, *unit.probe(),
@@ -157,8 +154,7 @@ class Node:
     def stop(self) -> None:
         """Send the unit's safe outputs, once. Raises BusError when the bus does not take them."""
         self.unit.stop(self.outbox)
-        for can_id, data in self.outbox.flush():
-            self.transport.send(can_id, data)
+        self.transport.send_all(self.outbox.flush())
 
     def report(self) -> dict[str, Any]:
         """Counters of cycles, frames and received messages, ready for JSON."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
@@ -71,7 +70,6 @@ class LockstepClock:
         self._after_ticks = dict.fromkeys(self._after, -1)
         self._tick = -1  # of the last SYNC
         self._acknowledged = -1
-        self._arrived: deque[Frame] = deque()
         self._frames: list[Frame] = []
 
     def wait(self, should_stop: Callable[[], bool] = never) -> CycleStart | None:
@@ -88,37 +86,37 @@ class LockstepClock:
         frames, self._frames = self._frames, []
         return frames
 
+    def closing(self) -> list[tuple[int, bytes | bytearray]]:
+        """The node's SyncDone: sent together with the outputs, it costs no wake-up of its own."""
+        self._acknowledged = self._tick
+        return [(self._done_id, self._done.encode({"Tick": self._tick}))]
+
     def finished(self, ended_ns: int) -> bool:
-        """Acknowledge the tick. There are no deadlines in lockstep: always False."""
+        """Acknowledge the tick if `closing` has not. There are no deadlines in lockstep: always False."""
         del ended_ns
-        self._acknowledge()
+        if self._acknowledged != self._tick:
+            self._acknowledge()
         return False
 
     def _acknowledge(self) -> None:
-        self._acknowledged = self._tick
-        self._transport.send(self._done_id, self._done.encode({"Tick": self._tick}))
+        self._transport.send_all(self.closing())
 
     def _collect(self, should_stop: Callable[[], bool]) -> bool:
         """Take frames up to the one that completes the next tick; later ones stay for the tick after."""
+        receive, monotonic = self._transport.receive, self._monotonic
         waited_s = 0.0
-        last = self._monotonic()
-        while True:
-            while self._arrived:
-                if self._completes_tick(self._arrived.popleft()):
-                    return True
-            if should_stop():
-                return False
-            self._arrived.extend(self._transport.drain())
-            if not self._arrived:
-                frame = self._transport.receive(SLICE_S)
-                if frame is not None:
-                    self._arrived.append(frame)
+        last = monotonic()
+        while not should_stop():
+            frame = receive(SLICE_S)  # reads ahead: what came together costs one system call
+            if frame is not None and self._completes_tick(frame):
+                return True
             # Capped per look, so that a process stopped for minutes does not blame its peers.
-            now = self._monotonic()
-            waited_s += min((now - last) * 1e-9, SLICE_S) if self._arrived else SLICE_S
+            now = monotonic()
+            waited_s += SLICE_S if frame is None else min((now - last) * 1e-9, SLICE_S)
             last = now
-            if not self._arrived and waited_s >= self.peer_timeout_s:
+            if frame is None and waited_s >= self.peer_timeout_s:
                 raise LockstepError(self._awaited())
+        return False
 
     def _completes_tick(self, frame: Frame) -> bool:
         can_id = frame.can_id

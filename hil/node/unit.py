@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -90,6 +90,9 @@ class FrameLink(Protocol):
 
     def send(self, can_id: int, data: bytes | bytearray) -> None:
         """Send one frame; raises BusError when it cannot."""
+
+    def send_all(self, frames: Sequence[tuple[int, bytes | bytearray]]) -> None:
+        """Send frames in this order; raises BusError when it cannot."""
 
     def drain(self) -> list[Frame]:
         """All frames that wait; never blocks."""

@@ -82,8 +82,14 @@ def socket_path(channel: str) -> Path:
 
 
 def channels() -> list[str]:
-    """The channels that have a socket, sorted (a dead hub's socket counts until it is replaced)."""
-    return sorted(path.name.removesuffix(".sock") for path in folder().glob("*.sock"))
+    """The channels that have a hub, sorted."""
+    living = []
+    for path in sorted(folder().glob("*.sock")):
+        channel = path.name.removesuffix(".sock")
+        with contextlib.suppress(OSError, ValueError):  # what a dead hub left behind
+            connect(channel, 0.2).close()
+            living.append(channel)
+    return living
 
 
 def connect(channel: str, timeout_s: float) -> socket.socket:

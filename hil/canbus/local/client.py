@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 import time
+from collections.abc import Iterable
 from typing import Any
 
 import can
@@ -155,15 +156,18 @@ class HilBus(can.BusABC):
         More than 8 bytes make it a CAN FD frame. Waits up to `timeout` s (None: for ever) while the transmit
         queue is full; raises can.CanOperationError like `send`, ValueError when the data are too long.
         """
-        length = len(data)
-        if can_id > STANDARD_MASK:
-            can_id = EXTENDED | (can_id & EXTENDED_MASK)
-        if length <= _CLASSIC_LENGTH:
-            self._stream.send(HEADER.pack(0, can_id, length, 0, length) + data, timeout)
-            return
-        if length > wire.MAX_DATA_LENGTH or self._can_protocol is not can.CanProtocol.CAN_FD:
-            raise ValueError(f"{self.channel_info}: {length} data bytes; 8 fit, 64 with CAN FD (option fd)")
-        self._stream.send(HEADER.pack(0, can_id, length, FD, length) + data, timeout)
+        self._stream.send(self._raw_record(can_id, data), timeout)
+
+    def send_raw_all(
+        self, frames: Iterable[tuple[int, bytes | bytearray]], timeout: float | None = 0.0
+    ) -> None:
+        """Send data frames in this order, nothing of others in between; all of them or none.
+
+        One system call for all, and one wake-up of the hub: for what a node says at the end of a cycle.
+        """
+        records = b"".join([self._raw_record(can_id, data) for can_id, data in frames])
+        if records:
+            self._stream.send(records, timeout)
 
     def drain_raw(self) -> list[Frame]:
         """All data frames that wait, without blocking; raises can.CanOperationError when the hub has ended.
@@ -200,6 +204,16 @@ class HilBus(can.BusABC):
             return link.query(self.channel)
         except (OSError, wire.WireError) as error:
             raise can.CanOperationError(f"{self.channel_info}: no statistics: {error}") from None
+
+    def _raw_record(self, can_id: int, data: bytes | bytearray) -> bytes:
+        length = len(data)
+        if can_id > STANDARD_MASK:
+            can_id = EXTENDED | (can_id & EXTENDED_MASK)
+        if length <= _CLASSIC_LENGTH:
+            return HEADER.pack(0, can_id, length, 0, length) + data
+        if length > wire.MAX_DATA_LENGTH or self._can_protocol is not can.CanProtocol.CAN_FD:
+            raise ValueError(f"{self.channel_info}: {length} data bytes; 8 fit, 64 with CAN FD (option fd)")
+        return HEADER.pack(0, can_id, length, FD, length) + data
 
     # -- messages ------------------------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import socket
 import sys
 import threading
 
@@ -11,6 +12,7 @@ import pytest
 
 from hil.canbus.frame import EXTENDED_ID_FLAG, Frame
 from hil.canbus.local.client import HilBus
+from hil.canbus.local.wire import HEADER
 
 WAIT_S = 10.0
 
@@ -89,6 +91,16 @@ def test_drain_takes_everything_that_waits(bus):
     assert [int.from_bytes(frame.data, "little") for frame in frames[:-1]] == list(range(10_000))
     stamps = [frame.timestamp_ns for frame in frames]
     assert all(a < b for a, b in itertools.pairwise(stamps))
+
+
+def test_one_drain_takes_more_than_one_read(bus, monkeypatch):
+    near, far = socket.socketpair()
+    near.setblocking(False)
+    receiver = bus()
+    with near, far, monkeypatch.context() as patched:
+        patched.setattr(receiver._stream, "_sock", near)
+        far.sendall(b"".join(HEADER.pack(n, 0x100, 8, 0, 8) + bytes(8) for n in range(4000)))  # 96,000 bytes
+        assert [frame.timestamp_ns for frame in receiver.drain_raw()] == list(range(4000))
 
 
 def test_mixed_ways_of_receiving_lose_nothing(bus):
@@ -310,3 +322,13 @@ def test_bus_works_over_tcp_where_there_is_no_unix_socket(channel, monkeypatch):
     finally:
         hub.stop("the test ends")
         thread.join()
+
+
+def test_frames_sent_together_arrive_together_in_order(channel: str) -> None:
+    with can.Bus(interface="hil", channel=channel) as a, can.Bus(interface="hil", channel=channel) as b:
+        a.send_raw_all([(0x100 + number, bytes([number])) for number in range(50)])
+        a.send_raw_all([])
+        frames = [b.recv_raw(5.0) for _ in range(50)]
+        assert [frame.data[0] for frame in frames] == list(range(50))
+        assert len({frame.timestamp_ns for frame in frames}) == 50
+        assert b.recv_raw(0.0) is None

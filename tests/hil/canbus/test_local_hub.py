@@ -14,6 +14,7 @@ import pytest
 
 from hil.canbus.local import address, link, wire
 from hil.canbus.local.client import HilBus
+from hil.canbus.local.hub import Hub
 
 WAIT_S = 10.0
 
@@ -59,10 +60,8 @@ def test_hub_stays_for_a_client_that_comes_while_it_lingers(channel):
         assert hub_pid(channel) == pid
 
 
-def test_hub_that_nobody_joined_ends_by_itself(channel, spawn, monkeypatch):
+def test_hub_that_nobody_joined_ends_by_itself(channel, monkeypatch):
     monkeypatch.setattr("hil.canbus.local.hub.FIRST_CLIENT_S", 0.2)
-    from hil.canbus.local.hub import Hub
-
     assert Hub(channel, linger_s=0.1).serve() == "nobody was left"
 
 
@@ -203,6 +202,46 @@ def test_asyncio_notifier_gets_the_end_of_the_hub_once(channel, start_hub):
         assert errors == [f"the hub of channel '{channel}' has ended (SIGTERM)"]
         with pytest.raises(can.CanOperationError):
             bus.recv(0)
+
+
+def test_asyncio_notifier_rests_after_the_sender_met_the_end_first(channel, start_hub):
+    hub = start_hub(channel)
+    errors = []
+
+    async def watch(bus, received):
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: errors.append(str(context["exception"])))
+        with HilBus(channel) as other:
+            other.send(message(1))
+        hub.end(signal.SIGTERM)
+        with pytest.raises(can.CanOperationError):
+            bus.send(message(2))
+        notifier = can.Notifier(bus, [received.append], loop=loop)
+        while not errors:
+            await asyncio.sleep(0.01)
+        for _ in range(50):
+            await asyncio.sleep(0)
+        notifier.stop()
+
+    with HilBus(channel) as bus:
+        received = []
+        asyncio.run(watch(bus, received))
+    assert len(received) == 1
+    assert errors == [f"the hub of channel '{channel}' has ended (SIGTERM)"]
+
+
+def test_what_waits_when_the_hub_is_asked_to_end_is_still_delivered(channel):
+    hub = Hub(channel)
+    hello = {"protocol": wire.PROTOCOL_VERSION, "name": "raw", "pid": 1}
+    frame = wire.HEADER.pack(0, 0x123, 3, 0, 3) + b"abc"
+    with address.connect(channel, 1.0) as receiver, address.connect(channel, 1.0) as sender:
+        receiver.sendall(wire.control_record(wire.Control.HELLO, hello))
+        sender.sendall(wire.control_record(wire.Control.HELLO, hello) + frame * 3)
+        hub.stop("asked to")
+        assert hub.serve() == "asked to"
+        received = b"".join(iter(lambda: receiver.recv(4096), b""))
+    assert received.count(b"abc") == 3
+    assert b'"reason":"asked to"' in received
 
 
 def test_hub_ends_with_its_parent(channel, start_hub):
@@ -349,10 +388,12 @@ def test_statistics_tell_frames_and_clients(channel):
     assert statistics["backlog_bytes"] == 0
 
 
-def test_running_channels_are_detected(channel):
-    with HilBus(channel):
-        found = can.detect_available_configs("hil")
-    assert {"interface": "hil", "channel": channel} in found
+def test_running_channels_are_detected_and_dead_ones_are_not(channel, start_hub):
+    hub = start_hub(channel)
+    assert {"interface": "hil", "channel": channel} in can.detect_available_configs("hil")
+    hub.end(signal.SIGKILL)
+    assert f"{channel}.sock" in files_of(channel)
+    assert {"interface": "hil", "channel": channel} not in can.detect_available_configs("hil")
 
 
 def test_hub_imports_neither_python_can_nor_numpy():

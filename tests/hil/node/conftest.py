@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import pytest
@@ -51,6 +52,10 @@ class FakeTransport:
     @property
     def sent(self) -> int:
         return len(self.log)
+
+    def send_all(self, frames: Sequence[tuple[int, bytes | bytearray]]) -> None:
+        for can_id, data in frames:
+            self.send(can_id, data)
 
     def send(self, can_id: int, data: bytes | bytearray) -> None:
         if self.error is not None:

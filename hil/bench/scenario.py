@@ -1,0 +1,162 @@
+"""A scenario: one TOML file that says which train runs where, under which law, and what passes.
+
+The file has one table per reader. `[journey]` is read by both nodes and the bench, `[controller]`
+and `[plant]` by their node alone, `[bus]` and `[verdict]` by the bench. The bench validates all of
+them before it starts anything: the nodes' tables through the entry points
+`hil.node.configuration`, so that it need not import the nodes.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated, Any
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field
+
+from hil.bench.errors import ScenarioError
+from hil.railway import Journey, load_journey
+from hil.railway.files import read_toml, validate
+from hil.railway.library import find_scenario
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Tables = dict[str, Any]
+
+
+class Limits(BaseModel):
+    """The table `[verdict]`: what a run must hold to pass. SI units.
+
+    `jerk_mps3` is judged on the 0.2 s moving average of the acceleration, differenced over 0.1 s.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    stop_error_m: Positive = 0.3
+    rms_speed_error_mps: Positive = 0.05
+    overspeed_mps: Positive = 0.3
+    jerk_mps3: Positive = 1.0
+    trip_time_error_s: Positive = 2.0
+    max_deadline_misses: Annotated[int, Field(ge=0)] = 3
+    max_consecutive_deadline_misses: Annotated[int, Field(ge=0)] = 1
+
+
+class BusTable(BaseModel):
+    """The table `[bus]`: the scenario's own bus; the command line wins over it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    interface: str | None = None
+    channel: str | None = None
+    bitrate: Annotated[int, Field(gt=0)] | None = None
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_: Annotated[int, Field(alias="schema", ge=1, le=1)]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$")]
+    title: str = ""
+    source: str = ""
+    journey: Tables
+    controller: Tables = Field(default_factory=dict)
+    plant: Tables = Field(default_factory=dict)
+    bus: BusTable = BusTable()
+    verdict: Limits = Limits()
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A validated scenario with its overrides applied."""
+
+    path: Path  # the file the user named
+    name: str
+    title: str
+    limits: Limits
+    bus: BusTable
+    journey: Journey
+    tables: Tables = field(repr=False)  # the whole file, overrides applied, paths absolute
+
+    @property
+    def controller_period_s(self) -> float:
+        """Period of the controller's cycle [s]."""
+        return float(self.tables["controller"].get("period_s", 0.01))
+
+    @property
+    def plant_period_s(self) -> float:
+        """Period of the plant's cycle [s]."""
+        return float(self.tables["plant"].get("period_s", 0.01))
+
+    @property
+    def law(self) -> str:
+        """Name of the control law."""
+        return str(self.tables["controller"].get("law", "fuzzy_d"))
+
+    def write(self, path: Path) -> None:
+        """Write the resolved scenario, which is what the nodes read."""
+        path.write_text(tomli_w.dumps(self.tables), encoding="utf-8")
+
+
+def load_scenario(name_or_path: str, overrides: Sequence[str] = (), *, scratch: Path) -> Scenario:
+    """Read, override and validate a scenario; `scratch` is a folder for the resolved copy.
+
+    `overrides` are `dotted.key=value` with a TOML value (a bare word is taken as text).
+    Raises ScenarioError or RailwayDataError: one line with file, key, value and limit.
+    """
+    path = find_scenario(name_or_path)
+    tables = read_toml(path)
+    for override in overrides:
+        _override(tables, override)
+    parsed = validate(_File, tables, path)
+    tables.setdefault("controller", {})
+    tables.setdefault("plant", {})
+    _absolute_paths(tables, path.parent)
+    resolved = scratch / "scenario.toml"
+    resolved.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    journey = _as_of(path, resolved, lambda: load_journey(resolved))
+    for entry in entry_points(group="hil.node.configuration"):
+        configuration = entry.load()
+        _as_of(path, resolved, lambda load=configuration.load: load(resolved))
+    return Scenario(path, parsed.name, parsed.title, parsed.verdict, parsed.bus, journey, tables)
+
+
+def _as_of(path: Path, resolved: Path, load: Any) -> Any:
+    """Run a loader on the resolved copy, and let its errors name the file that the user wrote."""
+    try:
+        return load()
+    except ValueError as error:
+        if not hasattr(error, "exit_code"):
+            raise
+        raise ScenarioError(str(error).replace(str(resolved), str(path))) from None
+
+
+def _override(tables: Tables, override: str) -> None:
+    key, separator, text = override.partition("=")
+    parts = [part.strip() for part in key.split(".")]
+    if not separator or not all(parts):
+        raise ScenarioError(f"--set {override}: expected dotted.key=value, for example controller.law=pid")
+    table: Any = tables
+    for depth, part in enumerate(parts[:-1]):
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {override}: {'.'.join(parts[: depth + 1])} is a value, not a table")
+    table[parts[-1]] = _toml_value(text.strip())
+
+
+def _toml_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _absolute_paths(tables: Tables, folder: Path) -> None:
+    """A line or train given as a file stays found when the resolved copy lies elsewhere."""
+    journey: Mapping[str, Any] = tables["journey"]
+    for key in ("line", "train"):
+        value = journey.get(key)
+        if isinstance(value, str) and value.endswith(".toml"):
+            tables["journey"][key] = str((folder / value).resolve())

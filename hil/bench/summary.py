@@ -1,0 +1,180 @@
+"""summary.json: a recorded run judged, in the shape that the design fixes. SI units, JSON types."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.bench.metrics import ControlMetrics, Tracking, Truth, control_metrics, percentiles_us
+from hil.bench.outcome import Outcome, RunOptions
+from hil.bench.verdict import Counters, criteria, verdict
+from hil.canbus.contract import Contract
+from hil.record import Run, open_run
+
+PROCESSES = ("controller", "plant_sim")
+DRIVING_MODES = ("RUN", "STOPPING")
+
+
+def summarise(options: RunOptions, outcome: Outcome, contract: Contract) -> dict[str, Any]:
+    """Judge the recording in `options.out` and the nodes' counters."""
+    scenario = options.scenario
+    run = open_run(options.out)
+    metrics = control_metrics(
+        recorded_truth(run),
+        recorded_tracking(run, contract),
+        stop_position_m=scenario.journey.destination.position_m,
+    )
+    counters = Counters(
+        deadline_misses={name: int(outcome.nodes.get(name, {}).get("missed", 0)) for name in PROCESSES},
+        consecutive_misses={
+            name: int(outcome.nodes.get(name, {}).get("max_consecutive_misses", 0)) for name in PROCESSES
+        },
+        frames_lost=_frames_lost(outcome),
+        e2e_rejected=sum(row["rejected"] for row in _e2e(outcome).values()),
+    )
+    rows = criteria(
+        metrics,
+        counters,
+        scenario.limits,
+        timetable_s=scenario.journey.time_s,
+        real_time=not options.lockstep,
+    )
+    return {
+        "scenario": scenario.name,
+        "verdict": verdict(rows, ended=outcome.ending.how),
+        "ended": outcome.ending.how,
+        "ended_because": outcome.ending.because,
+        "mode": options.mode,
+        "processes": "one" if outcome.one_process else "separate",
+        "law": scenario.law,
+        "seed": scenario.journey.seed,
+        "started": outcome.started,
+        "wall_time_s": round(outcome.wall_time_s, 3),
+        "simulated_time_s": round(outcome.simulated_time_s, 3),
+        "speedup": round(outcome.speedup, 2),
+        "criteria": [row.as_dict() for row in rows],
+        "control": _control(metrics, scenario.journey.time_s),
+        "timing": {name: _timing(run, outcome.nodes.get(name, {}), name) for name in PROCESSES},
+        "bus": _bus(options, outcome),
+        "environment": environment(),
+    }
+
+
+def recorded_truth(run: Run) -> Truth:
+    """The plant's own account of the train; empty arrays if no plant of ours took part."""
+    names = (
+        "position_m",
+        "speed_mps",
+        "acceleration_mps2",
+        "permitted_speed_mps",
+        "traction_energy_j",
+        "regenerated_energy_j",
+    )
+    try:
+        columns = [run.probe("plant_sim", name) for name in names]
+    except KeyError:
+        return Truth(*(np.empty(0),) * 7)
+    return Truth(columns[0][0], *(values for _, values in columns))
+
+
+def recorded_tracking(run: Run, contract: Contract) -> Tracking:
+    """The reference that the controller followed, in the cycles in which it drove."""
+    choices = next(s.choices for s in contract.message("ATO_Command").signals if s.name == "Mode")
+    driving = [number for number, name in choices.items() if name in DRIVING_MODES]
+    try:
+        time_s, reference = run.probe("controller", "reference_speed_mps")
+        _, mode = run.probe("controller", "mode")
+    except KeyError:
+        return Tracking(np.empty(0), np.empty(0))
+    chosen = np.isin(mode, driving)
+    return Tracking(time_s[chosen], reference[chosen])
+
+
+def environment() -> dict[str, Any]:
+    """The machine and the versions that a run's numbers belong to."""
+    realtime = Path("/sys/kernel/realtime")
+    return {
+        "python": platform.python_version(),
+        "kernel": f"{platform.system()} {platform.release()}",
+        "preempt_rt": realtime.exists() and realtime.read_text().strip() == "1",
+        "machine": platform.machine(),
+        "cpus": os.cpu_count(),
+        "packages": {
+            name: version(name)
+            for name in ("ato-hil", "python-can", "cantools", "numpy", "numba", "rerun-sdk")
+        },
+    }
+
+
+def _control(metrics: ControlMetrics, timetable_s: float) -> dict[str, Any]:
+    trip = metrics.trip_time_s
+    return {
+        "rms_speed_error_mps": _rounded(metrics.rms_speed_error_mps, 6),
+        "max_speed_error_mps": _rounded(metrics.max_speed_error_mps, 6),
+        "max_overspeed_mps": _rounded(metrics.max_overspeed_mps, 6),
+        "stop_error_m": _rounded(metrics.stop_error_m, 6),
+        "max_jerk_mps3": _rounded(metrics.max_jerk_mps3, 4),
+        "acceleration_at_standstill_mps2": _rounded(metrics.acceleration_at_standstill_mps2, 4),
+        "trip_time_s": _rounded(trip, 3),
+        "trip_time_error_s": _rounded(None if trip is None else trip - timetable_s, 3),
+        "traction_energy_j": _rounded(metrics.traction_energy_j, 1),
+        "regenerated_energy_j": _rounded(metrics.regenerated_energy_j, 1),
+    }
+
+
+def _timing(run: Run, status: Mapping[str, Any], process: str) -> dict[str, Any]:
+    try:
+        columns = run.timing(process)
+    except KeyError:
+        columns = {}
+    empty = np.empty(0)
+    return {
+        "period_s": status.get("period_ns", 0) * 1e-9,
+        "cycles": status.get("cycles", 0),
+        "missed": status.get("missed", 0),
+        "max_consecutive_misses": status.get("max_consecutive_misses", 0),
+        "wakeup_latency_us": percentiles_us(columns.get("wakeup_latency_us", empty)),
+        "execution_us": percentiles_us(columns.get("execution_us", empty)),
+        "sched_fifo": bool(status.get("sched_fifo", False)),
+        "mlock": bool(status.get("mlock", False)),
+        "rights": status.get("rights", {}),
+    }
+
+
+def _bus(options: RunOptions, outcome: Outcome) -> dict[str, Any]:
+    return {
+        "interface": outcome.bus.interface,
+        "channel": outcome.bus.channel,
+        "bitrate": outcome.bus.bitrate,
+        "frames": outcome.recorder.get("frames", 0),
+        "load": None,  # a bus without a bit rate has none
+        "dropped": _frames_lost(outcome),
+        "e2e": _e2e(outcome),
+    }
+
+
+def _frames_lost(outcome: Outcome) -> int:
+    lost = outcome.bench_dropped + int(outcome.recorder.get("dropped", 0))
+    lost += sum(int(status.get("frames", {}).get("dropped", 0)) for status in outcome.nodes.values())
+    return lost + sum(int(row["lost"]) for row in _e2e(outcome).values())
+
+
+def _e2e(outcome: Outcome) -> dict[str, dict[str, int]]:
+    """Counts per protected message, summed over its receivers."""
+    rows: dict[str, dict[str, int]] = {}
+    for status in outcome.nodes.values():
+        for name, counts in status.get("e2e", {}).items():
+            row = rows.setdefault(name, {"ok": 0, "rejected": 0, "lost": 0})
+            for key in row:
+                row[key] += int(counts.get(key, 0))
+    return rows
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)

@@ -1,0 +1,96 @@
+"""The command line `hil`: one file per command.
+
+Exit code 0: passed; 1: ran, verdict failed; 2: bad input; 3: something it needs is missing or died.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib import import_module
+
+import click
+import typer
+
+from hil import __version__
+
+COMMANDS = {"run": "run", "list": "list_", "view": "view", "doctor": "doctor"}
+"""Function of each command, in the module of that name. Only the one asked for is imported: a viewer
+library and a compiler are not loaded to say that a file is missing.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; errors are one line on standard error and an exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        code = _app(words)(args=words, standalone_mode=False, prog_name="hil")
+        return code if isinstance(code, int) else 0
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        typer.echo(error.format_message())
+        return 2
+    except click.ClickException as error:
+        return _fail(_usage_line(error), 2)
+    except (click.Abort, KeyboardInterrupt):
+        return _fail("hil: aborted", 1)
+    except BrokenPipeError:
+        # The reader of our output went away (`hil list | head`): not an error of ours.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        code = getattr(error, "exit_code", None)
+        if isinstance(code, int):
+            return _fail(f"hil: {error}", code)
+        if os.environ.get("HIL_TRACEBACK") == "1":
+            traceback.print_exc()
+        return _fail(f"hil: internal error: {type(error).__name__}: {error} (HIL_TRACEBACK=1 shows where)", 3)
+
+
+def _app(words: Sequence[str]) -> typer.Typer:
+    """The application with the command that `words` asks for, or with all of them for help."""
+    app = typer.Typer(
+        help="Hardware-in-the-loop bench for Automatic Train Operation.\n\n"
+        "Start with: [bold]hil run[/bold] (drive a train in real time), then [bold]hil view runs/…[/bold].",
+        no_args_is_help=True,
+        rich_markup_mode="rich",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    asked = next((word for word in words if not word.startswith("-")), None)
+    for name in [asked] if asked in COMMANDS else COMMANDS:
+        module = import_module(f"hil.cli.{name}")
+        app.command(name=name)(getattr(module, COMMANDS[str(name)]))
+    app.callback()(_options)
+    return app
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"hil {__version__}")
+        raise typer.Exit
+
+
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
+) -> None:
+    pass
+
+
+def _usage_line(error: click.ClickException) -> str:
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context is not None else "hil"
+    parameter = getattr(error, "param", None)
+    name = "/".join(parameter.opts) + ": " if parameter is not None and parameter.opts else ""
+    text = error.format_message()
+    return f"{command}: {'' if name.strip(': ') in text else name}{text} (try {command} --help)"
+
+
+def _fail(line: str, code: int) -> int:
+    print(" ".join(line.split()), file=sys.stderr)
+    return code

@@ -1,0 +1,41 @@
+"""The recorder: every frame and every cycle on record, and reading it back.
+
+`Recorder` writes `run.rrd` (Rerun) and `frames.blf` (any CAN tool); `open_run` reads a run;
+`hil.record.render` draws its dashboard without a display. Names are imported when first used: the
+libraries behind them are large, and a program that only lists scenarios need not load them.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hil.record.errors import NotRecorded, RecordError, RecordingUnreadable, ViewerUnavailable
+    from hil.record.reader import Run, RunEvent, open_run
+    from hil.record.recorder import Recorder, RecorderOptions, RecordingStats
+
+__all__ = [
+    "NotRecorded",
+    "RecordError",
+    "Recorder",
+    "RecorderOptions",
+    "RecordingStats",
+    "RecordingUnreadable",
+    "Run",
+    "RunEvent",
+    "ViewerUnavailable",
+    "open_run",
+]
+
+_HOME = {
+    **dict.fromkeys(("NotRecorded", "RecordError", "RecordingUnreadable", "ViewerUnavailable"), "errors"),
+    **dict.fromkeys(("Recorder", "RecorderOptions", "RecordingStats"), "recorder"),
+    **dict.fromkeys(("Run", "RunEvent", "open_run"), "reader"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"hil.record.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
