@@ -1,0 +1,39 @@
+"""One measured line, and how a pair of callables is timed fairly: in turns, in the same seconds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import NamedTuple
+
+
+class Row(NamedTuple):
+    """`ours` and `peer` in `unit`; no peer on this machine: None, and `peer_is` says why."""
+
+    what: str
+    ours: float
+    peer: float | None
+    unit: str
+    peer_is: str
+
+    @property
+    def ratio_text(self) -> str:
+        """The ratio ours/peer."""
+        return "-" if not self.peer else f"{self.ours / self.peer:.3g}"
+
+
+def in_turns_us(
+    ours: Callable[[], object], peer: Callable[[], object], *, calls: int = 2000
+) -> tuple[float, float]:
+    """Median time per call [us] of two callables, in eleven alternating batches each."""
+    for warm in (ours, peer):
+        warm()
+    batches: tuple[list[float], list[float]] = ([], [])
+    for _ in range(11):
+        for times, call in zip(batches, (ours, peer), strict=True):
+            start = time.perf_counter_ns()
+            for _ in range(calls):
+                call()
+            times.append((time.perf_counter_ns() - start) / calls / 1000)
+    return median(batches[0]), median(batches[1])

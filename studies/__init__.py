@@ -1,0 +1,1 @@
+"""Reproductions of published papers: one module per paper, its numbers beside this program's."""
