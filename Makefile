@@ -43,7 +43,11 @@ wheel: $(VENV)/.dev ## build dist/*.whl
 	@ls dist/*.whl
 
 pictures: $(VENV)/.dev ## render the pictures of the documentation from a fresh run
-	@$(BIN)/python -m docs.pictures
+	rm -rf runs/pictures
+	$(BIN)/hil run --out runs/pictures
+	$(BIN)/python -c "from pathlib import Path; from hil.record.render import render_all; \
+	  render_all(Path('runs/pictures/run.rrd'), Path('runs/pictures'))"
+	cp runs/pictures/drive.png runs/pictures/timing.png docs/pictures/
 
 system-deps: ## install the Debian packages that some tests need (root)
 	apt-get update

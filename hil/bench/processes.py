@@ -34,6 +34,9 @@ START_TIMEOUT_S = 60.0
 BRAKING_LIMIT_S = 90.0
 """How long a train may take to come to a stand after its controller was stopped or died."""
 
+LAST_FRAMES_S = 0.5
+"""Time for the frames that say that the train stands to reach the recorder."""
+
 NODES = ("plant_sim", "controller")
 NODE_PRIORITY_OFFSET = {"hub": 10, "controller": 0, "plant_sim": -5}
 """SCHED_FIFO order: the bus before the controller before the plant, as wires are faster than units."""
@@ -205,10 +208,10 @@ class _ProcessRun:
             time.sleep(0.02)
 
     def _stands(self, standstill: bool, since_cut_s: float) -> bool:
-        """Half a second to let the last frames through; no train is waited for without end."""
-        gone = [name for name in ("plant_sim", "recorder", "hub") if name in self._children]
-        alive = all(self._children[name].running or name == "hub" for name in gone)
-        return (standstill and since_cut_s > 0.5) or since_cut_s > BRAKING_LIMIT_S or not alive
+        """Whether the wait for a train without controller is over: it stands, or never will."""
+        witnesses = (child for name, child in self._children.items() if name != "controller")
+        settled = standstill and since_cut_s > LAST_FRAMES_S
+        return settled or since_cut_s > BRAKING_LIMIT_S or not all(child.running for child in witnesses)
 
     def _given_up(self, cut: Ending) -> bool:
         return self._interrupted() > (1 if cut.how == "aborted" else 0)
