@@ -34,7 +34,7 @@ MAX_EXTRAPOLATION_NS = 50_000_000  # the silence limit of ODO_Motion; older valu
 
 COMMON_PROBES = (
     Probe("reference_speed_mps", "m/s"),
-    Probe("reference_acceleration_mps2", "m/s2"),
+    Probe("reference_acceleration_mps2", "m/s^2"),
     Probe("reference_position_m", "m"),
     Probe("measured_speed_mps", "m/s"),
     Probe("measured_position_m", "m"),

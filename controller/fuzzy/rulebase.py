@@ -144,12 +144,12 @@ def fuzzy_d_rules(
     rate_peaks: Sequence[float],
     output_peaks: Sequence[float],
     *,
-    output_unit: str = "m/s2",
+    output_unit: str = "m/s^2",
 ) -> RuleBase:
     """Rule base of the Fuzzy-D paper over symmetric sets, given the positive peaks (2, 2 and 3 of them)."""
     return RuleBase(
         error=Variable.symmetric("error", "m/s", FIVE_TERMS, error_peaks),
-        rate=Variable.symmetric("rate", "m/s2", FIVE_TERMS, rate_peaks),
+        rate=Variable.symmetric("rate", "m/s^2", FIVE_TERMS, rate_peaks),
         output=Variable.symmetric("output", output_unit, SEVEN_TERMS, output_peaks),
         rules=parse_rules(FUZZY_D_RULES, columns=FIVE_TERMS, rows=FIVE_TERMS),
     )

@@ -33,11 +33,11 @@ class FuzzyD:
     """See the module docstring. Integrates only while unsaturated or driven out of saturation."""
 
     probe_names = (
-        ("feedback_mps2", "m/s2"),
-        ("integral_mps2", "m/s2"),
-        ("feed_forward_mps2", "m/s2"),
-        ("error_rate_mps2", "m/s2"),
-        ("fuzzy_output_mps2", "m/s2"),
+        ("feedback_mps2", "m/s^2"),
+        ("integral_mps2", "m/s^2"),
+        ("feed_forward_mps2", "m/s^2"),
+        ("error_rate_mps2", "m/s^2"),
+        ("fuzzy_output_mps2", "m/s^2"),
     )
 
     def __init__(self, parameters: FuzzyDParameters) -> None:

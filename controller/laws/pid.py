@@ -32,9 +32,9 @@ class Pid:
     """See the module docstring. Integrates only while unsaturated or driven out of saturation."""
 
     probe_names = (
-        ("feedback_mps2", "m/s2"),
-        ("integral_mps2", "m/s2"),
-        ("feed_forward_mps2", "m/s2"),
+        ("feedback_mps2", "m/s^2"),
+        ("integral_mps2", "m/s^2"),
+        ("feed_forward_mps2", "m/s^2"),
     )
 
     def __init__(self, gains: PidGains) -> None:

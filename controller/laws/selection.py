@@ -13,16 +13,23 @@ from controller.laws.pid import Pid
 
 
 class LawEntry(NamedTuple):
-    """A law as it is chosen: its number on the bus and how it is made."""
+    """A law as it is chosen: its number on the bus, what it is, and how it is made."""
 
     number: int
+    title: str
     make: Callable[[ControllerConfig], Law]
 
 
 LAWS: Mapping[str, LawEntry] = MappingProxyType(
     {
-        "pid": LawEntry(1, lambda config: Pid(config.pid.parameters())),
-        "fuzzy_d": LawEntry(3, lambda config: FuzzyD(config.fuzzy_d.parameters())),
+        "pid": LawEntry(
+            1, "PID with feed-forward and clamping anti-windup", lambda config: Pid(config.pid.parameters())
+        ),
+        "fuzzy_d": LawEntry(
+            3,
+            "Fuzzy-D: 5x5 rule base, derivative, integral and feed-forward",
+            lambda config: FuzzyD(config.fuzzy_d.parameters()),
+        ),
     }
 )
 """By the name that stands in `controller.law`."""

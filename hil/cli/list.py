@@ -21,7 +21,7 @@ def list_(
         "scenarios": {entry.name: entry.title for entry in list_scenarios()},
         "lines": {entry.name: entry.title for entry in list_lines()},
         "trains": {entry.name: entry.title for entry in list_trains()},
-        "laws": {name: (entry.make.__doc__ or "") for name, entry in LAWS.items()},
+        "laws": {name: entry.title for name, entry in LAWS.items()},
     }
     if as_json:
         typer.echo(json.dumps(found, indent=2, ensure_ascii=False))

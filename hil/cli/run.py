@@ -185,6 +185,7 @@ def _announce(console: Console, options: RunOptions) -> None:
         highlight=False,
         soft_wrap=True,
     )
+    console.print("[dim]starting (the very first start compiles: some seconds more)[/dim]", highlight=False)
     if bus.interface == "virtual" and not options.lockstep:
         console.print(
             "both nodes share this process as threads: they take turns at the interpreter, so wake-up"
