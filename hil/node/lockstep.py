@@ -132,10 +132,22 @@ class LockstepClock:
             self._tick = tick
         elif can_id in self._after:
             self._after_ticks[can_id] = int(self._after[can_id].decode(frame.data)["Tick"])
+            self._infer_sync()
         else:
             self._frames.append(Frame(max(self._tick, 0) * self.tick_ns, can_id, frame.data))
             return False
         return self._tick > self._acknowledged and all(t == self._tick for t in self._after_ticks.values())
+
+    def _infer_sync(self) -> None:
+        """Nobody answers a tick that has not begun: the answers say what SYNC would.
+
+        So a unit that waits for others need not listen to SYNC, and is woken once a tick, not twice.
+        """
+        tick = self._tick + 1
+        if all(answered == tick for answered in self._after_ticks.values()):
+            self._tick = tick
+            now = tick * self.tick_ns
+            self._frames = [Frame(now, can_id, data) for _, can_id, data in self._frames]
 
     def _awaited(self) -> str:
         limit = f"within {self.peer_timeout_s:g} s"

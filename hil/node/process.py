@@ -192,7 +192,7 @@ def receive_ids(unit: Unit, contract: Contract, clock: str) -> list[int]:
     """Identifiers a node has to receive: the unit's messages, and the lockstep protocol's if it is used."""
     names = list(unit.receives)
     if clock == "lockstep":
-        names += ["SYNC", *unit.after]
+        names += unit.after or ("SYNC",)  # who waits for answers is told by them
     contract.require(names)
     return [bus_identifier(contract.message(name)) for name in names]
 

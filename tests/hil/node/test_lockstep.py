@@ -87,6 +87,26 @@ def test_answer_may_come_before_sync(contract, fakes, frame):
     assert clock.wait().scheduled_ns == 0
 
 
+def test_answers_stand_for_a_sync_that_is_not_listened_to(contract, fakes, frame, ticks_sent):
+    transport = fakes.Transport()
+    clock = plant_clock(contract, transport)
+    for k in range(3):
+        transport.waiting.extend([frame("ATO_Command"), frame("ATO_SyncDone", k)])
+        start = clock.wait()
+        [command] = clock.frames()
+        assert (start.scheduled_ns, command.timestamp_ns) == (k * TICK, k * TICK)
+        clock.finished(0)
+    assert ticks_sent(transport, "TCU_SyncDone") == [0, 1, 2]
+
+
+def test_an_answer_to_a_tick_far_ahead_stands_for_no_sync(contract, fakes, frame):
+    transport = fakes.Transport()
+    clock = plant_clock(contract, transport, peer_timeout_s=1.0)
+    transport.waiting.append(frame("ATO_SyncDone", 7))
+    with pytest.raises(LockstepError, match="the first SYNC"):
+        clock.wait()
+
+
 def test_input_of_the_last_tick_is_one_tick_old(contract, fakes, frame):
     transport = fakes.Transport()
     clock = controller_clock(contract, transport)
