@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from hil.bench.errors import BenchError
+
+
+def _nothing() -> None:
+    pass
 
 
 class Child:
@@ -26,7 +31,6 @@ class Child:
         logs.mkdir(parents=True, exist_ok=True)
         self.name = name
         self.log = logs / f"{name}.log"
-        # A tool run inside a run must not be told to record itself, nor buffer what it says.
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -53,8 +57,11 @@ class Child:
         """Whether the process still runs."""
         return self.returncode is None
 
-    def wait_for_line(self, text: str, timeout_s: float) -> None:
-        """Wait until the child prints `text` on standard output. Raises BenchError."""
+    def wait_for_line(self, text: str, timeout_s: float, check: Callable[[], None] = _nothing) -> None:
+        """Wait until the child prints `text` on standard output; `check` may raise to end the wait.
+
+        Raises BenchError.
+        """
         deadline = time.monotonic() + timeout_s
         stream = self._process.stdout
         if stream is None:  # pragma: no cover - always piped
@@ -63,13 +70,17 @@ class Child:
         seen = b""
         while text.encode() not in seen:
             seen += stream.read() or b""
+            check()
             self._check_start(deadline, timeout_s)
             time.sleep(0.005)
 
-    def wait_for_file(self, path: Path, key: str, value: str, timeout_s: float) -> None:
-        """Wait until the JSON file `path` says `key: value`. Raises BenchError."""
+    def wait_for_file(
+        self, path: Path, key: str, value: str, timeout_s: float, check: Callable[[], None] = _nothing
+    ) -> None:
+        """Wait until the JSON file `path` says `key: value`; otherwise as `wait_for_line`."""
         deadline = time.monotonic() + timeout_s
         while read_json(path).get(key) != value:
+            check()
             self._check_start(deadline, timeout_s)
             time.sleep(0.005)
 
@@ -80,6 +91,11 @@ class Child:
                 self._process.send_signal(number)
             except ProcessLookupError:  # it ended between the two lines
                 return
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until the child has ended, at most `timeout_s`."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout_s)
 
     def end(self, timeout_s: float = 10.0) -> int:
         """SIGTERM, wait, and SIGKILL only if it does not listen; the exit code."""

@@ -9,6 +9,12 @@ class ScenarioError(ValueError):
     exit_code = 2
 
 
+class Aborted(RuntimeError):
+    """The user asked to stop before there was a run to judge."""
+
+    exit_code = 1
+
+
 class BenchError(RuntimeError):
     """Something a run needs is missing or died: what, and the remedy, in one line."""
 

@@ -16,19 +16,23 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from hil.bench.braking import BY_THE_USER, Cut
 from hil.bench.outcome import Interrupted, Outcome, RunOptions, Show
-from hil.bench.processes import recording_properties, shared_folder
+from hil.bench.processes import recording_properties
+from hil.bench.shared import shared_folder
 from hil.bench.sync import LAST_IN_CHAIN, BenchNode
 from hil.bench.watch import Ending, Watch
 from hil.canbus.contract import Contract
-from hil.canbus.memory import MemoryChannel
+from hil.canbus.memory import MemoryChannel, MemoryLink
 from hil.canbus.transport import Transport
 from hil.node.cycle import Node
+from hil.node.inbox import bus_identifier
 from hil.node.options import NodeOptions
 from hil.node.process import NodeProcess, build_node, receive_ids
 from hil.record.recorder import Recorder, RecorderOptions
+from hil.record.viewer import start_viewer
 
 NODES = ("controller", "plant_sim")
 """In the order in which they take their turns."""
@@ -36,8 +40,15 @@ NODES = ("controller", "plant_sim")
 BLOCK_S = 20.0
 """Simulated seconds between two visits of the recorder in lockstep: few large blocks cost least."""
 
-Ended = tuple[Ending, float, float, dict[str, Mapping[str, Any]]]
-"""Ending, simulated and wall-clock seconds of the loop, status by node."""
+
+class Ended(NamedTuple):
+    """How the loop ended: its simulated and wall-clock time, status by node, frames that the bench sent."""
+
+    ending: Ending
+    simulated_s: float
+    wall_s: float
+    nodes: dict[str, Mapping[str, Any]]
+    bench_sent: int
 
 
 def run_in_one_process(
@@ -45,7 +56,7 @@ def run_in_one_process(
 ) -> Outcome:
     """Run a scenario in this process, in lockstep or in real time with one thread per node."""
     drive = _lockstep if options.lockstep else _threads
-    watch = Watch(contract, time_limit_s=2.0 * options.scenario.journey.time_s + 60.0)
+    watch = Watch(contract, time_limit_s=options.time_limit_s)
     started = datetime.now(UTC)
     with ExitStack() as stack:
         shared = stack.enter_context(shared_folder())
@@ -58,21 +69,21 @@ def run_in_one_process(
                     tick_ns=options.tick_ns,
                     rings={name: shared / f"{name}.ring" for name in NODES},
                     properties=recording_properties(options),
+                    viewer_url=start_viewer() if options.view else None,
                 ),
             )
         )
-        ending, simulated_s, wall_s, nodes = drive(
-            options, contract, watch, recorder, shared, show, interrupted
-        )
+        ended = drive(options, contract, watch, recorder, shared, show, interrupted)
         statistics = recorder.close()
         return Outcome(
-            ending=ending,
+            ending=ended.ending,
             bus=options.bus,
             started=started.isoformat(timespec="milliseconds"),
-            wall_time_s=wall_s,
-            simulated_time_s=simulated_s,
+            wall_time_s=ended.wall_s,
+            simulated_time_s=ended.simulated_s,
             one_process=True,
-            nodes=nodes,
+            nodes=ended.nodes,
+            bench_sent=ended.bench_sent,
             recorder=statistics.as_dict(),
         )
 
@@ -87,51 +98,68 @@ def _lockstep(
     interrupted: Interrupted,
 ) -> Ended:
     channel = MemoryChannel()
-    last = contract.message(LAST_IN_CHAIN).can_id
-    bench = BenchNode(channel.link([*watch.identifiers, last]), contract, watch, tick_s=options.tick_s)
+    last = bus_identifier(contract.message(LAST_IN_CHAIN))
+    link = channel.link([*watch.identifiers, last])
+    bench = BenchNode(link, contract, watch, tick_s=options.tick_s)
     listener = channel.link()
     nodes = {name: _node(options, contract, channel, name, shared) for name in NODES}
-    controller, plant = (nodes[name] for name in NODES)
-    tick_s = options.tick_s
-    look, block = max(1, round(0.1 / tick_s)), max(1, round(BLOCK_S / tick_s))
-    tick = 0
-    ending: Ending | None = None
     with _garbage_collection_frozen():
         start = time.monotonic()
-        while ending is None:
-            bench.begin_tick(tick)
-            controller.cycle()
-            plant.cycle()
-            bench.await_tick(tick, timeout_s=0.0)
-            tick += 1
-            if tick % block == 0:
-                recorder.feed(listener.drain())
-                recorder.flush()
-            if tick % look == 0:
-                view = watch.view(tick * tick_s)
-                show(view, tick * tick_s / max(time.monotonic() - start, 1e-9))
-                ending = watch.ending(view)
-                if ending is None and interrupted():
-                    ending = Ending("aborted", "stopped by the user")
-        for node in nodes.values():
-            node.stop()
+        ending, simulated_s = _take_turns(options, bench, nodes, watch, recorder, listener, show, interrupted)
+        for name, node in nodes.items():
+            if name != "controller" or not bench.controller_is_gone:
+                node.stop()
         recorder.feed(listener.drain())
         recorder.flush()
         wall_s = time.monotonic() - start
-    return ending, tick * tick_s, wall_s, {name: node.report() for name, node in nodes.items()}
+    return Ended(
+        ending, simulated_s, wall_s, {name: node.report() for name, node in nodes.items()}, link.sent
+    )
 
 
-@contextmanager
-def _garbage_collection_frozen() -> Iterator[None]:
-    """As in a node's own process: what is there stays, and the loop makes no cycles to collect."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-        gc.unfreeze()
+def _take_turns(
+    options: RunOptions,
+    bench: BenchNode,
+    nodes: Mapping[str, Node],
+    watch: Watch,
+    recorder: Recorder,
+    listener: MemoryLink,
+    show: Show,
+    interrupted: Interrupted,
+) -> tuple[Ending, float]:
+    turns = [nodes[name] for name in NODES]
+    tick_s = options.tick_s
+    look, block = max(1, round(0.1 / tick_s)), max(1, round(BLOCK_S / tick_s))
+    tick = 0
+    cut: Cut | None = None
+    start = time.monotonic()
+    while True:
+        bench.begin_tick(tick)
+        for node in turns:
+            try:
+                node.cycle()
+            except Exception as error:
+                if not hasattr(error, "exit_code"):
+                    raise
+                return Ending("died", f"{node.unit.name}: {error}"), tick * tick_s
+        bench.await_tick(tick, timeout_s=0.0)
+        tick += 1
+        if tick % block == 0:
+            recorder.feed(listener.drain())
+            recorder.flush()
+        if tick % look:
+            continue
+        view = watch.view(tick * tick_s)
+        show(view, tick * tick_s / max(time.monotonic() - start, 1e-9))
+        if cut is None and interrupted():
+            cut = Cut(BY_THE_USER, tick * tick_s, interrupted())
+            turns.pop(0).stop()
+            bench.controller_is_gone = True
+        ending = watch.ending(view) if cut is None else None
+        if ending is not None:
+            return ending, tick * tick_s
+        if cut is not None and cut.over(view, interrupts=interrupted()):
+            return cut.ending, tick * tick_s
 
 
 def _node(options: RunOptions, contract: Contract, channel: MemoryChannel, name: str, shared: Path) -> Node:
@@ -149,6 +177,19 @@ def _node(options: RunOptions, contract: Contract, channel: MemoryChannel, name:
     return node
 
 
+@contextmanager
+def _garbage_collection_frozen() -> Iterator[None]:
+    """As in a node's own process: what is there stays, and the loop makes no cycles to collect."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
 def _threads(
     options: RunOptions,
     contract: Contract,
@@ -159,31 +200,21 @@ def _threads(
     interrupted: Interrupted,
 ) -> Ended:
     units = {entry.name: entry.load() for entry in entry_points(group="hil.node.unit")}
-    stop = threading.Event()
-    failures: list[str] = []
-
-    def drive(node: NodeProcess) -> None:
-        try:
-            node.run(stop.is_set)
-        except Exception as error:  # told by the main thread, in one line
-            failures.append(f"{node.name}: {error}")
-
     with ExitStack() as stack:
         transport = stack.enter_context(Transport.open(options.bus, name="bench"))
         listener = stack.enter_context(Transport.open(options.bus, name="recorder"))
         bench = BenchNode(transport, contract, watch, tick_s=options.tick_s)
-        nodes = {
-            name: stack.enter_context(
+        threads: dict[str, _NodeThread] = {}
+        for name in NODES:
+            process = stack.enter_context(
                 NodeProcess(_node_options(options, name, shared), units[name], real_time=False)
             )
-            for name in NODES
-        }
-        for node in nodes.values():
-            node.ready()
-        threads = [threading.Thread(target=drive, args=(node,), name=name) for name, node in nodes.items()]
-        for thread in threads:
+            process.ready()
+            threads[name] = _NodeThread(process)
+        for thread in threads.values():
             thread.start()
         start = time.monotonic()
+        cut: Cut | None = None
         ending: Ending | None = None
         now_s = 0.0
         try:
@@ -194,23 +225,47 @@ def _threads(
                 recorder.poll()
                 view = watch.view(now_s)
                 show(view, None)
-                ending = watch.ending(view)
-                if failures:
-                    ending = Ending("died", failures[0])
-                elif interrupted():
-                    ending = Ending("aborted", "stopped by the user")
+                failed = next((thread.failure for thread in threads.values() if thread.failure), None)
+                if cut is None and (failed or interrupted()):
+                    cut = Cut(Ending("died", failed) if failed else BY_THE_USER, now_s, interrupted())
+                    threads["controller"].ask_to_stop()
+                if cut is None:
+                    ending = watch.ending(view)
+                elif cut.over(view, interrupts=interrupted()) or threads["plant_sim"].failure:
+                    ending = cut.ending
                 time.sleep(0.02)
         finally:
-            stop.set()
-            for thread in threads:
+            for thread in threads.values():
+                thread.ask_to_stop()
+            for thread in threads.values():
                 thread.join()
             recorder.feed(listener.drain())
         wall_s = time.monotonic() - start
         reports: dict[str, Mapping[str, Any]] = {
-            name: {**node.node.report(), **node.rights.as_dict()} for name, node in nodes.items()
+            name: {**thread.process.node.report(), **thread.process.rights.as_dict()}
+            for name, thread in threads.items()
         }
         recorder.flush()  # while the rings are still there
-        return ending, now_s, wall_s, reports
+        return Ended(ending, now_s, wall_s, reports, transport.sent)
+
+
+class _NodeThread(threading.Thread):
+    """A node as a thread; `failure` is what it died of, told by the main thread in one line."""
+
+    def __init__(self, process: NodeProcess) -> None:
+        super().__init__(name=process.name)
+        self.process = process
+        self.failure: str | None = None
+        self._stop_asked = threading.Event()
+
+    def ask_to_stop(self) -> None:
+        self._stop_asked.set()
+
+    def run(self) -> None:
+        try:
+            self.process.run(self._stop_asked.is_set)
+        except Exception as error:
+            self.failure = f"{self.process.name}: {error}"
 
 
 def _node_options(options: RunOptions, name: str, shared: Path) -> NodeOptions:

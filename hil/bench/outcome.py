@@ -42,6 +42,11 @@ class RunOptions:
         return min(self.scenario.controller_period_s, self.scenario.plant_period_s)
 
     @property
+    def time_limit_s(self) -> float:
+        """When a run that has not arrived is given up [s]."""
+        return 2.0 * self.scenario.journey.time_s + 60.0
+
+    @property
     def tick_ns(self) -> int:
         """Lockstep tick [ns]."""
         return round(self.tick_s * 1e9)
@@ -57,9 +62,12 @@ class Outcome:
     wall_time_s: float
     simulated_time_s: float
     one_process: bool
-    nodes: dict[str, Mapping[str, Any]] = field(default_factory=dict)  # status of each node
+    nodes: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Status of each node when it ended; empty for one that did not end well."""
     recorder: Mapping[str, Any] = field(default_factory=dict)
+    """Likewise of the recorder."""
     bench_dropped: int = 0
+    bench_sent: int = 0
 
     @property
     def speedup(self) -> float:

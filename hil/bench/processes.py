@@ -8,41 +8,37 @@ plant still brakes the train, and the recorder after both, so that it hears thei
 from __future__ import annotations
 
 import json
-import shutil
 import signal
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from hil.bench.braking import BY_THE_USER, Cut
 from hil.bench.children import Child, read_json
-from hil.bench.errors import BenchError
+from hil.bench.errors import Aborted, BenchError
 from hil.bench.outcome import Interrupted, Outcome, RunOptions, Show
+from hil.bench.shared import BusClaim, shared_folder
 from hil.bench.sync import BenchNode
 from hil.bench.watch import Ending, Watch
 from hil.canbus.contract import Contract
 from hil.canbus.errors import BusError
 from hil.canbus.transport import BusOptions, Transport
+from hil.node.inbox import bus_identifier
 
 START_TIMEOUT_S = 60.0
 """A node compiles its numeric kernels on its first start; later starts take a second or two."""
 
-BRAKING_LIMIT_S = 90.0
-"""How long a train may take to come to a stand after its controller was stopped or died."""
-
-LAST_FRAMES_S = 0.5
-"""Time for the frames that say that the train stands to reach the recorder."""
-
 NODES = ("plant_sim", "controller")
+"""In the order in which they are started."""
+
 NODE_PRIORITY_OFFSET = {"hub": 10, "controller": 0, "plant_sim": -5}
 """SCHED_FIFO order: the bus before the controller before the plant, as wires are faster than units."""
 
 LISTEN_BEFORE_START_S = 0.25
-"""Longer than the slowest cycle of the bench's own messages (100 ms): who is there, is heard."""
+"""Longer than the slowest cycle of the bench's own messages (100 ms): a bench elsewhere is heard."""
 
 
 def run_in_processes(
@@ -50,8 +46,8 @@ def run_in_processes(
 ) -> Outcome:
     """Run a scenario in separate processes, in real time or in lockstep.
 
-    Raises BenchError or BusError if something cannot be started; whatever ends the run after that
-    is in the outcome.
+    Raises BenchError or BusError if something cannot be started, Aborted if the user asks to stop before
+    the run has begun; whatever ends the run after that is in the outcome.
     """
     return _ProcessRun(options, contract, show, interrupted).run()
 
@@ -63,16 +59,18 @@ class _ProcessRun:
         self._show = show
         self._interrupted = interrupted
         self._children: dict[str, Child] = {}
+        self._codes: dict[str, int] = {}
+        self._claim = BusClaim()
         self._bus = options.bus
-        timetable_s = options.scenario.journey.time_s
-        self._watch = Watch(contract, time_limit_s=2.0 * timetable_s + 60.0)
+        self._watch = Watch(contract, time_limit_s=options.time_limit_s)
 
     def run(self) -> Outcome:
         with ExitStack() as stack:
             shared = stack.enter_context(shared_folder())
+            stack.callback(self._claim.release)
             stack.callback(self._end_everything)
             self._bus = self._settle_bus()
-            done = self._contract.message("TCU_SyncDone").can_id
+            done = bus_identifier(self._contract.message("TCU_SyncDone"))
             transport = stack.enter_context(
                 Transport.open(self._bus, name="bench", receive=[*self._watch.identifiers, done])
             )
@@ -93,10 +91,18 @@ class _ProcessRun:
                 wall_time_s=wall_s,
                 simulated_time_s=simulated_s,
                 one_process=False,
-                nodes={name: read_json(shared / f"{name}.json") for name in NODES},
-                recorder=read_json(shared / "recorder.json"),
+                nodes={name: self._last_status(shared, name) for name in NODES},
+                recorder=self._last_status(shared, "recorder"),
                 bench_dropped=transport.dropped,
+                bench_sent=transport.sent,
             )
+
+    def _last_status(self, shared: Path, name: str) -> dict[str, Any]:
+        """What a process said of itself when it ended; nothing if it did not end well: counters of a
+        process that was killed would be those of its start.
+        """
+        status = dict(read_json(shared / f"{name}.json"))
+        return status if status.get("state") == "ended" and self._codes.get(name) == 0 else {}
 
     # -- starting -------------------------------------------------------------------------------
 
@@ -104,14 +110,15 @@ class _ProcessRun:
         """A bus that carries no other bench: the one asked for, or a free local channel."""
         bus = self._bus
         for attempt in range(2):
-            if bus.interface == "hil":
+            mine = self._claim.take(bus)
+            if mine and bus.interface == "hil":
                 self._start_hub(bus)
-            taken = self._who_speaks(bus)
+            taken = self._who_speaks(bus) if mine else "another run of this machine"
             if not taken:
                 return bus
             if self._options.channel_is_given or bus.interface != "hil" or attempt:
                 raise BenchError(
-                    f"{bus.interface} {bus.channel}: already carries {taken} from another node;"
+                    f"{bus.interface} {bus.channel}: already carries {taken};"
                     " end that run, or choose another channel with -c"
                 )
             self._end_hub()
@@ -125,7 +132,7 @@ class _ProcessRun:
         hub = Child("hub", "hil.canbus.local", arguments, logs=self._options.out / "logs")
         self._children["hub"] = hub
         try:
-            hub.wait_for_line("ready", START_TIMEOUT_S)
+            hub.wait_for_line("ready", START_TIMEOUT_S, self._cancelled)
         except BenchError:
             if hub.returncode != 0:
                 raise
@@ -137,7 +144,7 @@ class _ProcessRun:
 
     def _who_speaks(self, bus: BusOptions) -> str:
         ours = {
-            codec.can_id: codec.name
+            bus_identifier(codec): f"{codec.name} of another node"
             for node in ("ATO", "TCU", "ODO")
             for codec in self._contract.sent_by(node)
         }
@@ -154,25 +161,33 @@ class _ProcessRun:
             common += ["--dbc", str(options.dbc)]
         properties = options.out / "properties.json"
         properties.write_text(json.dumps(recording_properties(options)), encoding="utf-8")
+        common.append("--die-with-parent")
         recorder = ["--out", str(options.out), "--properties", str(properties), *common]
         recorder += ["--status", str(shared / "recorder.json"), "--tick-s", repr(options.tick_s)]
         for name in ("controller", "plant_sim"):
             recorder += ["--ring", f"{name}={shared / name}.ring"]
         if options.view:
             recorder.append("--view")
-        self._spawn("recorder", "hil.record", recorder).wait_for_line("ready", START_TIMEOUT_S)
+        self._spawn("recorder", "hil.record", recorder).wait_for_line(
+            "ready", START_TIMEOUT_S, self._cancelled
+        )
         for name in NODES:
-            arguments = ["--scenario", str(scenario), "--die-with-parent", *common]
+            arguments = ["--scenario", str(scenario), *common]
             arguments += ["--ring", f"{shared / name}.ring", "--status", str(shared / f"{name}.json")]
             arguments += ["--tick-ns", str(options.tick_ns), "--priority", str(self._priority(name))]
             self._spawn(name, name, arguments)
         for name in NODES:
-            self._children[name].wait_for_file(shared / f"{name}.json", "state", "ready", START_TIMEOUT_S)
+            status = shared / f"{name}.json"
+            self._children[name].wait_for_file(status, "state", "ready", START_TIMEOUT_S, self._cancelled)
 
     def _spawn(self, name: str, module: str, arguments: list[str]) -> Child:
         child = Child(name, module, arguments, logs=self._options.out / "logs")
         self._children[name] = child
         return child
+
+    def _cancelled(self) -> None:
+        if self._interrupted():
+            raise Aborted("stopped by the user before the run began")
 
     def _priority(self, name: str) -> int:
         """SCHED_FIFO priority; 0 means none: in lockstep nobody waits for a deadline."""
@@ -184,64 +199,73 @@ class _ProcessRun:
 
     def _drive_real_time(self, bench: BenchNode) -> tuple[Ending, float]:
         start = time.monotonic()
-        cut: Ending | None = None  # the controller is gone: the plant brakes the train by itself
-        cut_at_s = 0.0
+        cut: Cut | None = None
         while True:
             now_s = time.monotonic() - start
             try:
                 bench.listen()
             except BusError as error:
-                return cut or self._died() or Ending("died", str(error)), now_s
+                return self._why(cut, Ending("died", str(error))), now_s
             view = self._watch.view(now_s)
             self._show(view, None)
-            dead = self._died()
-            if dead is not None and self._children["controller"].running:
-                return dead, now_s
-            if cut is None and (dead is not None or self._interrupted()):
-                cut, cut_at_s = dead or Ending("aborted", "stopped by the user"), now_s
-                self._children["controller"].signal(signal.SIGTERM)
-            ending = self._watch.ending(view, controlled=cut is None)
-            if cut is None and ending is not None:
-                return ending, now_s
-            if cut is not None and (self._stands(view.standstill, now_s - cut_at_s) or self._given_up(cut)):
-                return cut, now_s
+            cut = cut or self._cut(now_s)
+            if cut is None:
+                ending = self._watch.ending(view)
+                if ending is not None:
+                    return ending, now_s
+            elif cut.over(view, interrupts=self._interrupted()) or self._plant_is_gone():
+                return cut.ending, now_s
             time.sleep(0.02)
-
-    def _stands(self, standstill: bool, since_cut_s: float) -> bool:
-        """Whether the wait for a train without controller is over: it stands, or never will."""
-        witnesses = (child for name, child in self._children.items() if name != "controller")
-        settled = standstill and since_cut_s > LAST_FRAMES_S
-        return settled or since_cut_s > BRAKING_LIMIT_S or not all(child.running for child in witnesses)
-
-    def _given_up(self, cut: Ending) -> bool:
-        return self._interrupted() > (1 if cut.how == "aborted" else 0)
 
     def _drive_lockstep(self, bench: BenchNode) -> tuple[Ending, float]:
         start = time.monotonic()
         tick, tick_s = 0, self._options.tick_s
         ticks_per_look = max(1, round(0.1 / tick_s))
+        cut: Cut | None = None
         while True:
-            now_s = tick * tick_s
             try:
                 bench.begin_tick(tick)
                 while not bench.await_tick(tick, timeout_s=0.25):
-                    dead = self._died()
-                    if dead is not None:
-                        return dead, now_s
-                    if self._interrupted():
-                        return Ending("aborted", "stopped by the user"), now_s
+                    cut = cut or self._cut(tick * tick_s)
+                    if cut is not None and self._plant_is_gone():
+                        return cut.ending, tick * tick_s
+                    if cut is not None:
+                        bench.answer_for_controller(tick)
             except BusError as error:
-                return self._died() or Ending("died", str(error)), now_s
+                return self._why(cut, Ending("died", str(error))), tick * tick_s
             tick += 1
             if tick % ticks_per_look:
                 continue
             view = self._watch.view(tick * tick_s)
             self._show(view, tick * tick_s / max(time.monotonic() - start, 1e-9))
-            ending = self._watch.ending(view) or self._died()
-            if ending is None and self._interrupted():
-                ending = Ending("aborted", "stopped by the user")
+            if cut is None:
+                cut = self._cut(tick * tick_s)
+                if cut is not None:
+                    bench.controller_is_gone = True
+            ending = self._watch.ending(view) if cut is None else None
             if ending is not None:
                 return ending, tick * tick_s
+            if cut is not None and cut.over(view, interrupts=self._interrupted()):
+                return cut.ending, tick * tick_s
+
+    def _cut(self, now_s: float) -> Cut | None:
+        """Whether the run is to be ended early, and if so, the controller with it."""
+        dead, interrupts = self._died(), self._interrupted()
+        if dead is None and not interrupts:
+            return None
+        controller = self._children["controller"]
+        controller.signal(signal.SIGTERM)
+        if self._options.lockstep:
+            controller.wait(10.0)  # its last frames belong to this tick
+        return Cut(dead or BY_THE_USER, now_s, interrupts)
+
+    def _plant_is_gone(self) -> bool:
+        """Whether nobody is left who could brake the train, or show that it stands."""
+        needed = ("plant_sim", "recorder", "hub")
+        return not all(self._children[name].running for name in needed if name in self._children)
+
+    def _why(self, cut: Cut | None, otherwise: Ending) -> Ending:
+        return cut.ending if cut is not None else self._died() or otherwise
 
     def _died(self) -> Ending | None:
         """The first process that ended by itself."""
@@ -262,7 +286,7 @@ class _ProcessRun:
         for name in ("controller", "plant_sim", "recorder", "hub"):
             child = self._children.pop(name, None)
             if child is not None:
-                child.end(timeout_s=60.0 if name == "recorder" else 10.0)
+                self._codes[name] = child.end(timeout_s=60.0 if name == "recorder" else 10.0)
 
 
 def recording_properties(options: RunOptions) -> dict[str, Any]:
@@ -280,14 +304,3 @@ def recording_properties(options: RunOptions) -> dict[str, Any]:
         "destination_m": journey.destination.position_m,
         "timetable_s": journey.time_s,
     }
-
-
-@contextmanager
-def shared_folder() -> Iterator[Path]:
-    """A folder in memory for rings and status files, gone when the run is."""
-    memory = Path("/dev/shm")
-    folder = Path(tempfile.mkdtemp(prefix="hil-", dir=memory if memory.is_dir() else None))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,6 +41,8 @@ class Limits(BaseModel):
     overspeed_mps: Positive = 0.3
     jerk_mps3: Positive = 1.0
     trip_time_error_s: Positive = 2.0
+    max_interventions: Annotated[int, Field(ge=0)] = 0
+    """How often the supervision may take over (modes DEGRADED and EMERGENCY)."""
     max_deadline_misses: Annotated[int, Field(ge=0)] = 3
     max_consecutive_deadline_misses: Annotated[int, Field(ge=0)] = 1
 
@@ -79,21 +82,22 @@ class Scenario:
     bus: BusTable
     journey: Journey
     tables: Tables = field(repr=False)  # the whole file, overrides applied, paths absolute
+    configurations: Mapping[str, Any] = field(repr=False)  # by node, as the node itself reads its table
 
     @property
     def controller_period_s(self) -> float:
         """Period of the controller's cycle [s]."""
-        return float(self.tables["controller"].get("period_s", 0.01))
+        return float(self.configurations["controller"].period_s)
 
     @property
     def plant_period_s(self) -> float:
         """Period of the plant's cycle [s]."""
-        return float(self.tables["plant"].get("period_s", 0.01))
+        return float(self.configurations["plant_sim"].period_s)
 
     @property
     def law(self) -> str:
         """Name of the control law."""
-        return str(self.tables["controller"].get("law", "fuzzy_d"))
+        return str(self.configurations["controller"].law)
 
     def write(self, path: Path) -> None:
         """Write the resolved scenario, which is what the nodes read."""
@@ -116,11 +120,21 @@ def load_scenario(name_or_path: str, overrides: Sequence[str] = (), *, scratch: 
     _absolute_paths(tables, path.parent)
     resolved = scratch / "scenario.toml"
     resolved.write_text(tomli_w.dumps(tables), encoding="utf-8")
-    journey = _as_of(path, resolved, lambda: load_journey(resolved))
+    journey = _as_of(path, resolved, partial(load_journey, resolved))
+    configurations: dict[str, Any] = {}
     for entry in entry_points(group="hil.node.configuration"):
         configuration = entry.load()
-        _as_of(path, resolved, lambda load=configuration.load: load(resolved))
-    return Scenario(path, parsed.name, parsed.title, parsed.verdict, parsed.bus, journey, tables)
+        configurations[entry.name] = _as_of(path, resolved, partial(configuration.load, resolved))
+    return Scenario(
+        path=path,
+        name=parsed.name,
+        title=parsed.title,
+        limits=parsed.verdict,
+        bus=parsed.bus,
+        journey=journey,
+        tables=tables,
+        configurations=configurations,
+    )
 
 
 def _as_of(path: Path, resolved: Path, load: Any) -> Any:

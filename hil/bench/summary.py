@@ -19,6 +19,7 @@ from hil.record import Run, open_run
 
 PROCESSES = ("controller", "plant_sim")
 DRIVING_MODES = ("RUN", "STOPPING")
+TAKEN_OVER_MODES = ("DEGRADED", "EMERGENCY")
 
 
 def summarise(options: RunOptions, outcome: Outcome, contract: Contract) -> dict[str, Any]:
@@ -31,12 +32,12 @@ def summarise(options: RunOptions, outcome: Outcome, contract: Contract) -> dict
         stop_position_m=scenario.journey.destination.position_m,
     )
     counters = Counters(
-        deadline_misses={name: int(outcome.nodes.get(name, {}).get("missed", 0)) for name in PROCESSES},
-        consecutive_misses={
-            name: int(outcome.nodes.get(name, {}).get("max_consecutive_misses", 0)) for name in PROCESSES
-        },
-        frames_lost=_frames_lost(outcome),
-        e2e_rejected=sum(row["rejected"] for row in _e2e(outcome).values()),
+        deadline_misses={name: _counted(outcome, name, "missed") for name in PROCESSES},
+        consecutive_misses={name: _counted(outcome, name, "max_consecutive_misses") for name in PROCESSES},
+        frames_lost=frames_lost(outcome),
+        e2e_rejected=None if _incomplete(outcome) else sum(row["rejected"] for row in _e2e(outcome).values()),
+        cycles_not_recorded=_cycles_not_recorded(outcome),
+        interventions=recorded_interventions(run, contract),
     )
     rows = criteria(
         metrics,
@@ -85,7 +86,7 @@ def recorded_truth(run: Run) -> Truth:
 
 def recorded_tracking(run: Run, contract: Contract) -> Tracking:
     """The reference that the controller followed, in the cycles in which it drove."""
-    choices = next(s.choices for s in contract.message("ATO_Command").signals if s.name == "Mode")
+    choices = contract.message("ATO_Command").signal("Mode").choices
     driving = [number for number, name in choices.items() if name in DRIVING_MODES]
     try:
         time_s, reference = run.probe("controller", "reference_speed_mps")
@@ -125,6 +126,7 @@ def _control(metrics: ControlMetrics, timetable_s: float) -> dict[str, Any]:
         "trip_time_error_s": _rounded(None if trip is None else trip - timetable_s, 3),
         "traction_energy_j": _rounded(metrics.traction_energy_j, 1),
         "regenerated_energy_j": _rounded(metrics.regenerated_energy_j, 1),
+        "energy_at": "wheel rim",  # the trains carry no efficiencies: braking work, not what the line gets
     }
 
 
@@ -139,6 +141,8 @@ def _timing(run: Run, status: Mapping[str, Any], process: str) -> dict[str, Any]
         "cycles": status.get("cycles", 0),
         "missed": status.get("missed", 0),
         "max_consecutive_misses": status.get("max_consecutive_misses", 0),
+        "missed_startup": status.get("missed_startup", 0),
+        "skipped": status.get("skipped", 0),
         "wakeup_latency_us": percentiles_us(columns.get("wakeup_latency_us", empty)),
         "execution_us": percentiles_us(columns.get("execution_us", empty)),
         "sched_fifo": bool(status.get("sched_fifo", False)),
@@ -151,18 +155,54 @@ def _bus(options: RunOptions, outcome: Outcome) -> dict[str, Any]:
     return {
         "interface": outcome.bus.interface,
         "channel": outcome.bus.channel,
-        "bitrate": outcome.bus.bitrate,
+        # The local bus models no bit rate: to repeat the one asked for would claim one.
+        "bitrate": None if outcome.bus.interface == "hil" else outcome.bus.bitrate,
         "frames": outcome.recorder.get("frames", 0),
         "load": None,  # a bus without a bit rate has none
-        "dropped": _frames_lost(outcome),
+        "dropped": frames_lost(outcome),
         "e2e": _e2e(outcome),
     }
 
 
-def _frames_lost(outcome: Outcome) -> int:
-    lost = outcome.bench_dropped + int(outcome.recorder.get("dropped", 0))
-    lost += sum(int(status.get("frames", {}).get("dropped", 0)) for status in outcome.nodes.values())
-    return lost + sum(int(row["lost"]) for row in _e2e(outcome).values())
+def frames_lost(outcome: Outcome) -> int | None:
+    """Frames that did not arrive: what interfaces report, gaps in E2E counters, and frames that were sent
+    but are not on record. None if a process that counted did not end well.
+    """
+    if _incomplete(outcome):
+        return None
+    recorder = outcome.recorder
+    links = [status["frames"] for status in outcome.nodes.values()]
+    reported = outcome.bench_dropped + recorder["dropped"] + sum(link["dropped"] for link in links)
+    gaps = sum(row["lost"] for row in _e2e(outcome).values()) + sum(recorder["counter_lost"].values())
+    sent = outcome.bench_sent + sum(link["sent"] for link in links)
+    return int(reported + gaps + max(0, sent - recorder["frames"]))
+
+
+def recorded_interventions(run: Run, contract: Contract) -> int | None:
+    """How often the controller's mode became one in which the supervision has taken over."""
+    choices = contract.message("ATO_Command").signal("Mode").choices
+    taken_over = [number for number, name in choices.items() if name in TAKEN_OVER_MODES]
+    try:
+        _, mode = run.probe("controller", "mode")
+    except KeyError:
+        return None
+    inside = np.isin(mode, taken_over)
+    return int(np.count_nonzero(inside[1:] & ~inside[:-1]) + bool(len(inside) and inside[0]))
+
+
+def _incomplete(outcome: Outcome) -> bool:
+    return not outcome.recorder or any(not outcome.nodes.get(name) for name in PROCESSES)
+
+
+def _counted(outcome: Outcome, process: str, key: str) -> int | None:
+    status = outcome.nodes.get(process)
+    return int(status[key]) if status else None
+
+
+def _cycles_not_recorded(outcome: Outcome) -> int | None:
+    if not outcome.recorder:
+        return None
+    return sum(int(ring["lost"]) for ring in outcome.recorder["rings"].values())
 
 
 def _e2e(outcome: Outcome) -> dict[str, dict[str, int]]:

@@ -7,10 +7,13 @@ import time
 from hil.bench.errors import BenchError
 from hil.bench.watch import Watch
 from hil.canbus.contract import Contract
+from hil.node.inbox import bus_identifier
 from hil.node.unit import FrameLink
 
 LAST_IN_CHAIN = "TCU_SyncDone"
 """Who acknowledges a tick last: the plant, which waits for the controller."""
+
+CONTROLLERS_ANSWER = "ATO_SyncDone"
 
 HEARTBEAT_OPERATIONAL = {"NmtState": 5}
 
@@ -23,8 +26,10 @@ class BenchNode:
         self._watch = watch
         self._sync = contract.message("SYNC")
         self._done = contract.message(LAST_IN_CHAIN)
+        self._answer = contract.message(CONTROLLERS_ANSWER)
+        self.controller_is_gone = False  # then the bench answers in its place, and the plant goes on
         heartbeat = contract.message("BENCH_Heartbeat")
-        self._heartbeat = heartbeat.can_id, bytes(heartbeat.encode(HEARTBEAT_OPERATIONAL))
+        self._heartbeat = bus_identifier(heartbeat), bytes(heartbeat.encode(HEARTBEAT_OPERATIONAL))
         self._heartbeat_s = (heartbeat.cycle_ns or 100_000_000) * 1e-9
         self._ticks_per_heartbeat = max(1, round(self._heartbeat_s / tick_s))
         self._next_heartbeat_s = 0.0
@@ -40,16 +45,23 @@ class BenchNode:
 
     def begin_tick(self, tick: int) -> None:
         """Send SYNC for this tick, the heartbeat before it when it is due."""
-        sync = self._sync.can_id, self._sync.encode({"Tick": tick})
+        sync = bus_identifier(self._sync), self._sync.encode({"Tick": tick})
         heartbeat_is_due = tick % self._ticks_per_heartbeat == 0
         self._transport.send_all([self._heartbeat, sync] if heartbeat_is_due else [sync])
+        if self.controller_is_gone:
+            self.answer_for_controller(tick)
+
+    def answer_for_controller(self, tick: int) -> None:
+        """Let the plant go on although no controller answers: its command supervision brakes the train."""
+        self.controller_is_gone = True
+        self._transport.send(bus_identifier(self._answer), self._answer.encode({"Tick": tick}))
 
     def await_tick(self, tick: int, *, timeout_s: float) -> bool:
         """Hear frames until the last node has done `tick`; False if nothing came for `timeout_s`.
 
         Raises BenchError if a node acknowledges another tick: two benches on one bus.
         """
-        done, receive, hear = self._done.can_id, self._transport.receive, self._watch.hear
+        done, receive, hear = bus_identifier(self._done), self._transport.receive, self._watch.hear
         while (frame := receive(timeout_s)) is not None:
             if frame.can_id != done:
                 hear(frame.can_id, frame.data)

@@ -31,12 +31,17 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Counters:
-    """What the bus and the clocks counted over a run."""
+    """What the bus, the clocks and the supervision counted over a run.
 
-    deadline_misses: Mapping[str, int]  # per real-time process
-    consecutive_misses: Mapping[str, int]
-    frames_lost: int
-    e2e_rejected: int
+    None: not known, because the process that counted did not end well. Not known is not passed.
+    """
+
+    deadline_misses: Mapping[str, int | None]  # per real-time process
+    consecutive_misses: Mapping[str, int | None]
+    frames_lost: int | None
+    e2e_rejected: int | None
+    cycles_not_recorded: int | None
+    interventions: int | None
 
 
 def criteria(
@@ -59,6 +64,8 @@ def criteria(
         Criterion("trip_time_error", trip_error, limits.trip_time_error_s, "s"),
         Criterion("frames_lost", counters.frames_lost, 0, "frames"),
         Criterion("e2e_rejected", counters.e2e_rejected, 0, "frames"),
+        Criterion("cycles_not_recorded", counters.cycles_not_recorded, 0, "cycles"),
+        Criterion("interventions", counters.interventions, limits.max_interventions, "times"),
     ]
     if real_time:
         for process, misses in counters.deadline_misses.items():

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hil.canbus.contract import Contract, MessageCodec
+from hil.node.inbox import bus_identifier
 
 WATCHED = ("ATO_Status", "ATO_Position", "ODO_Motion")
 
@@ -45,7 +46,7 @@ class Watch:
     def __init__(self, contract: Contract, *, time_limit_s: float, departure_limit_s: float = 20.0) -> None:
         contract.require(WATCHED)
         self._codecs: dict[int, MessageCodec] = {
-            contract.message(name).can_id: contract.message(name) for name in WATCHED
+            bus_identifier(contract.message(name)): contract.message(name) for name in WATCHED
         }
         self._last: dict[int, bytes] = {}
         self._choices = {

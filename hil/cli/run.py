@@ -18,6 +18,7 @@ from hil.bench.outcome import RunOptions
 from hil.bench.scenario import Scenario, load_scenario
 from hil.canbus.transport import BusOptions, add_bus_arguments, default_options, options_from_namespace
 from hil.cli.progress import Progress
+from hil.record.viewer import display_missing
 
 DEFAULT_SCENARIO = "cat_linh_la_thanh"
 MAX_PRIORITY = 88  # the hub runs ten above, and 99 belongs to the kernel
@@ -68,6 +69,11 @@ def run(
     if not 0 <= priority <= MAX_PRIORITY:
         raise ScenarioError(f"--priority {priority}: must be 0 to {MAX_PRIORITY}")
     console = Console(stderr=as_json)
+    if show_live and display_missing():
+        console.print(
+            "no live view: there is no display here; afterwards: hil view --web RUN", style="yellow"
+        )
+        show_live = False
     chosen = list(overrides or [])
     if law is not None:
         chosen.append(f"controller.law={json.dumps(law)}")
@@ -112,10 +118,12 @@ def bus_options(
     bus_kwargs: list[str],
 ) -> BusOptions:
     """The bus: the command line wins over the scenario, the scenario over can.conf and defaults."""
-    interface = interface or scenario.bus.interface
-    channel = channel or scenario.bus.channel
-    bitrate = bitrate or scenario.bus.bitrate
-    if not (interface or channel or bitrate or fd or bus_kwargs):
+    interface = interface if interface is not None else scenario.bus.interface
+    channel = channel if channel is not None else scenario.bus.channel
+    bitrate = bitrate if bitrate is not None else scenario.bus.bitrate
+    if bitrate is not None and bitrate <= 0:
+        raise ScenarioError(f"--bitrate {bitrate}: must be greater than 0 bit/s")
+    if interface is None and channel is None and bitrate is None and not fd and not bus_kwargs:
         return default_options()
     arguments: list[str] = []
     for flag, value in (("-i", interface), ("-c", channel), ("-b", bitrate)):
@@ -186,6 +194,12 @@ def _announce(console: Console, options: RunOptions) -> None:
         soft_wrap=True,
     )
     console.print("[dim]starting (the very first start compiles: some seconds more)[/dim]", highlight=False)
+    if bus.interface == "hil" and bus.bitrate is not None:
+        console.print(
+            f"the local bus models no bit rate: frames go as fast as they can, not at {bus.bitrate} bit/s",
+            style="yellow",
+            soft_wrap=True,
+        )
     if bus.interface == "virtual" and not options.lockstep:
         console.print(
             "both nodes share this process as threads: they take turns at the interpreter, so wake-up"

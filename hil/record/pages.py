@@ -1,7 +1,7 @@
 """What goes where in run.rrd: one entity per message, process, probe unit, state and chart.
 
-/bus/<Message>, /bus/<Message>/protection     all signals; Crc and Counter beside them
-/timing/<process>/…, /probe/<process>/<unit>  cycles from the timing rings
+/bus/<Message>                                all signals, Crc and Counter among them
+/timing/<process>, /probe/<process>           cycles from the timing rings
 /state/<Message>/<Signal>, /events/<node>     changes, as lanes and as text
 /drive/<chart>/<series>, /over_distance/…     the dashboard's charts
 /bus_statistics/…, /histogram/…, /timing_summary

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import time
 
+import can
 import numpy as np
 import pytest
 from e2e_support import HIL, Finished, children_of, exists, wait_for_speed
@@ -76,17 +77,34 @@ def test_killed_controller_traction_is_cut_the_train_stands_and_the_run_says_who
     assert brake_state[-1] in (2, 4)  # and held to the end
 
 
-def test_killed_launcher_leaves_no_orphans(start_hil):
+@pytest.mark.parametrize("hub", ["its own", "one that was there"])
+def test_killed_launcher_leaves_no_orphans(start_hil, channel, hub):
+    early = can.Bus(interface="hil", channel=channel) if hub == "one that was there" else None
     process, _, channel = start_hil()
     wait_for_speed(channel, 1.0)
     children = children_of(process.pid)
-    assert {"controller", "plant_sim", "hil.record", "hil.canbus.local"} <= set(children)
+    assert {"controller", "plant_sim", "hil.record"} <= set(children)
+    assert ("hil.canbus.local" in children) == (early is None)
     process.kill()
     process.communicate()
     deadline = time.monotonic() + 20
     while any(exists(pid) for pid in children.values()):
         assert time.monotonic() < deadline, [name for name, pid in children.items() if exists(pid)]
         time.sleep(0.1)
+    if early is not None:
+        early.shutdown()
+
+
+def test_ctrl_c_while_the_nodes_start_ends_at_once_in_one_line(start_hil):
+    process, _, _ = start_hil()
+    deadline = time.monotonic() + 30
+    while "hil.record" not in children_of(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert len(stderr.strip().splitlines()) == 1
+    assert children_of(process.pid) == {}
 
 
 def test_second_run_on_a_busy_channel_is_refused_in_one_line(start_hil, tmp_path):
@@ -111,9 +129,14 @@ def test_threads_on_the_virtual_bus_run_too_and_say_what_their_jitter_is_worth(t
         stderr=subprocess.PIPE,
         text=True,
     )
-    time.sleep(15)
+    deadline = time.monotonic() + 60
+    while not (out / "run.rrd").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    time.sleep(12)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 1, stderr
     assert "threads" in stdout
-    assert open_run(out).signal("ODO_Motion.Speed")[1].max() > 1.0
+    _, speed = open_run(out).signal("ODO_Motion.Speed")
+    assert speed.max() > 1.0
+    assert abs(speed[-1]) < 0.1

@@ -9,7 +9,14 @@ from hil.bench.scenario import Limits
 from hil.bench.verdict import Counters, criteria, verdict
 
 GOOD = ControlMetrics(0.01, 0.05, -0.5, 0.02, 0.7, 0.1, 90.5, 2e7, 1e6)
-CLEAN = Counters({"controller": 1}, {"controller": 1}, 0, 0)
+CLEAN = Counters(
+    deadline_misses={"controller": 1},
+    consecutive_misses={"controller": 1},
+    frames_lost=0,
+    e2e_rejected=0,
+    cycles_not_recorded=0,
+    interventions=0,
+)
 
 
 def judge(metrics=GOOD, counters=CLEAN, *, real_time=True, ended="arrived"):
@@ -39,20 +46,26 @@ def test_one_value_past_its_limit_fails_the_run_and_only_that_criterion(change, 
 
 
 @pytest.mark.parametrize(
-    "counters",
+    ("change", "criterion"),
     [
-        Counters({"controller": 4}, {"controller": 1}, 0, 0),
-        Counters({"controller": 2}, {"controller": 2}, 0, 0),
-        Counters({"controller": 0}, {"controller": 0}, 1, 0),
-        Counters({"controller": 0}, {"controller": 0}, 0, 1),
+        ({"deadline_misses": {"controller": 4}}, "deadline_misses_controller"),
+        ({"consecutive_misses": {"controller": 2}}, "consecutive_misses_controller"),
+        ({"frames_lost": 1}, "frames_lost"),
+        ({"e2e_rejected": 1}, "e2e_rejected"),
+        ({"cycles_not_recorded": 1}, "cycles_not_recorded"),
+        ({"interventions": 1}, "interventions"),
+        ({"frames_lost": None}, "frames_lost"),
+        ({"deadline_misses": {"controller": None}}, "deadline_misses_controller"),
     ],
 )
-def test_misses_losses_and_rejections_fail_the_run(counters):
-    assert judge(counters=counters)[0] == "failed"
+def test_misses_losses_interventions_and_what_is_not_known_fail_the_run(change, criterion):
+    result, rows = judge(counters=replace(CLEAN, **change))
+    assert result == "failed"
+    assert [name for name, row in rows.items() if not row.passed] == [criterion]
 
 
 def test_deadlines_are_not_judged_in_lockstep():
-    late = Counters({"controller": 99}, {"controller": 9}, 0, 0)
+    late = replace(CLEAN, deadline_misses={"controller": 99}, consecutive_misses={"controller": 9})
     assert judge(counters=late, real_time=False)[0] == "passed"
 
 
