@@ -36,13 +36,15 @@ class CycleStart(NamedTuple):
 
     `scheduled_ns` is the nominal time (monotonic grid, or tick * tick period in lockstep), `woke_ns` the
     monotonic time of the wake-up, `skipped` the whole cycles left out just before this one, `now_ns` the
-    time in the domain of the frames' stamps, from which ages are counted.
+    time in the domain of the frames' stamps, from which ages are counted. `idle`: a lockstep tick that is not
+    the unit's; it is acknowledged without a step.
     """
 
     scheduled_ns: int
     woke_ns: int
     skipped: int
     now_ns: int
+    idle: bool = False
 
 
 class Clock(Protocol):
@@ -65,8 +67,8 @@ class Clock(Protocol):
     def closing(self) -> list[tuple[int, bytes | bytearray]]:
         """What the clock itself has to say after the cycle's outputs, to go out with them."""
 
-    def finished(self, ended_ns: int) -> bool:
-        """The cycle's work ended at monotonic `ended_ns`; True when that was after the next release."""
+    def finished(self, ended_ns: int) -> int:
+        """The cycle's work ended at monotonic `ended_ns`; how many releases passed unmet until then."""
 
 
 def never() -> bool:
@@ -188,7 +190,7 @@ class RealTimeClock:
         """Nothing: time passes by itself."""
         return []
 
-    def finished(self, ended_ns: int) -> bool:
-        """Choose the next deadline; True when this cycle's work ended after the next release."""
+    def finished(self, ended_ns: int) -> int:
+        """Choose the next deadline; the number of deadlines missed, which are the cycles skipped."""
         self._deadline, self._skipped = next_deadline(ended_ns, self._deadline, self.period_ns)
-        return self._skipped > 0
+        return self._skipped

@@ -53,8 +53,8 @@ class OverloadPolicy:
 
 @dataclass(slots=True)
 class CycleStatistics:
-    """Counters of a node. `missed`: cycles whose work ended after the next release; `skipped`: cycles
-    that were left out because of that.
+    """Counters of a node. `missed`: deadlines missed, each release that came before the work of the cycle
+    before it had ended. The cycle of such a release is skipped, so a stall of 50 periods misses 50, in a row.
     """
 
     cycles: int = 0
@@ -64,16 +64,16 @@ class CycleStatistics:
     consecutive: int = 0
     max_consecutive_misses: int = 0
 
-    def count(self, missed: bool, startup: bool) -> None:
-        """Count one finished cycle."""
+    def count(self, missed: int, startup: bool) -> None:
+        """Count one finished cycle, and the deadlines that were missed until its end."""
         self.cycles += 1
         if not missed:
             self.consecutive = 0
         elif startup:
-            self.missed_startup += 1
+            self.missed_startup += missed
         else:
-            self.missed += 1
-            self.consecutive += 1
+            self.missed += missed
+            self.consecutive += missed
             self.max_consecutive_misses = max(self.max_consecutive_misses, self.consecutive)
 
 
@@ -122,6 +122,9 @@ class Node:
         start = self.clock.wait(should_stop)
         if start is None:
             return False
+        if start.idle:
+            self.clock.finished(start.woke_ns)
+            return True
         monotonic = self._monotonic
         unit, inbox, outbox, statistics = self.unit, self.inbox, self.outbox, self.statistics
         inbox.begin(start.now_ns)
@@ -178,7 +181,7 @@ class Node:
             "e2e": received_counters(self.inbox),
         }
 
-    def _judge(self, missed: bool, latency_ns: int, execution_ns: int) -> None:
+    def _judge(self, missed: int, latency_ns: int, execution_ns: int) -> None:
         """Count the cycle, tell the unit its timing, apply the overload policy."""
         counts = self.statistics
         slot = counts.cycles % len(self._latencies)

@@ -73,13 +73,14 @@ class LockstepClock:
         self._frames: list[Frame] = []
 
     def wait(self, should_stop: Callable[[], bool] = never) -> CycleStart | None:
-        """Collect frames until the unit's next cycle; None when `should_stop` said so."""
-        while self._collect(should_stop):
-            time_ns = self._tick * self.tick_ns
-            if time_ns % self.period_ns == 0:
-                return CycleStart(time_ns, self._monotonic(), 0, time_ns)
-            self._acknowledge()
-        return None
+        """Collect frames until the next tick is complete; None when `should_stop` said so.
+
+        A tick that is not a multiple of the unit's period is `idle`; its frames stay for the next step.
+        """
+        if not self._collect(should_stop):
+            return None
+        time_ns = self._tick * self.tick_ns
+        return CycleStart(time_ns, self._monotonic(), 0, time_ns, idle=time_ns % self.period_ns != 0)
 
     def frames(self) -> list[Frame]:
         """Frames seen since the last cycle, stamped with the time of the tick in which they came."""
@@ -91,12 +92,12 @@ class LockstepClock:
         self._acknowledged = self._tick
         return [(self._done_id, self._done.encode({"Tick": self._tick}))]
 
-    def finished(self, ended_ns: int) -> bool:
-        """Acknowledge the tick if `closing` has not. There are no deadlines in lockstep: always False."""
+    def finished(self, ended_ns: int) -> int:
+        """Acknowledge the tick if `closing` has not. There are no deadlines in lockstep: always 0."""
         del ended_ns
         if self._acknowledged != self._tick:
             self._acknowledge()
-        return False
+        return 0
 
     def _acknowledge(self) -> None:
         self._transport.send_all(self.closing())

@@ -78,22 +78,31 @@ def test_unit_is_told_its_worst_timing_of_the_last_100_ms(bench):
     assert 0 <= b.unit.timing.wakeup_latency_ns < 1_000
 
 
-def test_overrun_is_one_miss_and_its_skipped_cycles_are_on_record(bench):
+def test_every_release_that_an_overrun_passes_is_a_missed_deadline_in_a_row(bench):
     b = bench(overload=OverloadPolicy(startup_ns=0))
     b.cycles(1)
     b.cycles(1, took_ns=35_000_000)
     b.cycles(2)
     assert b.reader.read_new()["missed"].tolist() == [0, 0, 3, 0]
     report = b.node.report()
-    assert (report["cycles"], report["missed"], report["skipped"]) == (4, 1, 3)
-    assert report["max_consecutive_misses"] == 1
-    assert b.unit.timing.deadline_misses == 1
+    assert (report["cycles"], report["missed"], report["skipped"]) == (4, 3, 3)
+    assert report["max_consecutive_misses"] == 3
+    assert b.unit.timing.deadline_misses == 3
     starts = [step[0] for step in b.unit.steps]
     assert [after - before for before, after in itertools.pairwise(starts)] == [
         PERIOD,
         4 * PERIOD,
         PERIOD,
     ]
+
+
+def test_a_long_stall_is_as_many_misses_as_it_has_periods(bench):
+    b = bench(overload=OverloadPolicy(startup_ns=0))
+    b.cycles(1)
+    b.cycles(1, took_ns=50 * PERIOD + PERIOD // 2)
+    b.cycles(1)
+    report = b.node.report()
+    assert report["missed"] == report["max_consecutive_misses"] == 50
 
 
 def test_misses_while_starting_up_are_counted_apart(bench):
