@@ -134,7 +134,7 @@ class HoldConfig(FileModel):
     """Standstill: where the train has arrived, when the holding brake comes and goes."""
 
     window_m: Positive = 0.1
-    """Standing closer than this to the stop point, or past it, the train has arrived."""
+    """Standing closer than this before the stop point, or past it by less than `overrun_m`: arrived."""
     speed_mps: NotNegative = 0.006
     """Below this speed, within the window, the holding brake is applied; two steps of 0.01 km/h."""
     release_s: Annotated[float, Field(ge=0.0, le=10.0)] = 1.2

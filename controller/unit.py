@@ -216,7 +216,8 @@ class ControllerUnit:
         conditions.inputs_valid = complete
         conditions.standstill = seen.standstill and seen.odometry_alive and seen.odometry_valid
         conditions.departure = seen.doors_closed and seen.departure_authorised
-        conditions.arrived = conditions.standstill and seen.distance_to_stop_m <= self._config.hold.window_m
+        at_stop = -self._config.supervision.overrun_m <= seen.distance_to_stop_m <= self._config.hold.window_m
+        conditions.arrived = conditions.standstill and at_stop
         since = self._since_departure_s(now_ns)
         conditions.braking_to_stop = (
             self._reference_table.plan_time_s(self._position_m, since) >= self._reference_table.braking_from_s

@@ -48,6 +48,7 @@ REGISTER_GENERIC, REGISTER_COMMUNICATION = 0x01, 0x11
 SUPERVISION_NORMAL, SUPERVISION_EMERGENCY_STOP, SUPERVISION_BUS_LOST = 0, 12, 14
 
 MAX_AGE_MS = 255
+CYCLIC = ("TCU_Status", "BCU_Status", "ODO_Motion", "ATP_Permission")
 MAX_TARGET_DISTANCE_M = 100_000.0
 
 
@@ -67,10 +68,10 @@ class PlantUnit:
 
     def __init__(self, journey: Journey, config: PlantConfig, contract: Contract) -> None:
         contract.require(
-            [*self.receives, "TCU_Status", "BCU_Status", "ODO_Motion", "ODO_Balise", "ATP_Permission",
-             "TCU_Emergency", "BCU_Emergency"]
+            [*self.receives, *CYCLIC, "ODO_Balise", "TCU_Emergency", "BCU_Emergency"]
         )  # fmt: skip
         self._contract = contract
+        self._codecs = {name: contract.message(name) for name in CYCLIC}
         self.journey = journey
         self.config = config
         self.period_ns = config.period_ns
@@ -180,14 +181,14 @@ class PlantUnit:
         traction_n = 0.0 if ended else motion.traction_effort_n * self._believed[0]
         motors_n = 0.0 if ended else motion.electrodynamic_effort_n * self._believed[1]
         status = int(command.status)
-        outbox.put("TCU_Status", {
+        self._send(outbox, "TCU_Status", {
             "State": traction.state,
             "TractiveEffort": traction_n - motors_n,
             "EffortAvailable": traction.available_n(abs(motion.speed_mps)),
             "CommandStatus": status,
             "CommandAge": 1e-3 * min(MAX_AGE_MS, command.age_ns // 1_000_000),
         })  # fmt: skip
-        outbox.put("BCU_Status", {
+        self._send(outbox, "BCU_Status", {
             "State": brakes.state,
             "ElectrodynamicEffort": motors_n,
             "PneumaticEffort": motion.pneumatic_effort_n * self._believed[1],
@@ -195,7 +196,7 @@ class PlantUnit:
             "HoldingApplied": brakes.holding_applied(motion),
             "EmergencyApplied": brakes.emergency,
         })  # fmt: skip
-        outbox.put("ODO_Motion", {
+        self._send(outbox, "ODO_Motion", {
             "Valid": not ended,
             "Standstill": odometry.standstill,
             "Slip": odometry.slip,
@@ -203,7 +204,7 @@ class PlantUnit:
             "Speed": odometry.speed_mps,
             "Position": odometry.position_m,
         })  # fmt: skip
-        outbox.put("ATP_Permission", {
+        self._send(outbox, "ATP_Permission", {
             "DoorsClosed": protection.doors_closed,
             "DepartureAuthorised": protection.departure_authorised,
             "EmergencyStop": protection.emergency_stop,
@@ -211,6 +212,10 @@ class PlantUnit:
             "TargetSpeed": protection.target_speed_mps,
             "TargetDistance": min(protection.target_distance_m, MAX_TARGET_DISTANCE_M),
         })  # fmt: skip
+
+    def _send(self, outbox: Outbox, name: str, values: dict[str, float]) -> None:
+        """Put a message; a value beyond its signal's range goes out as the limit, as a real unit's would."""
+        outbox.put(name, self._codecs[name].saturated(values))
 
     def _report_command(self, outbox: Outbox, state: CommandState) -> None:
         """EMCY of TCU and BCU: the command is lost, or good again; Detail is its age in ms."""

@@ -102,9 +102,10 @@ class Watch:
         if self._departed and controlled and view.mode == "HOLD" and stood_s >= SETTLE_S:
             return Ending("arrived", "the train holds at its stop")
         if self._departed and stood_s >= GIVE_UP_S:
+            side = "before" if view.distance_to_stop_m >= 0 else "past"
             return Ending(
                 "stopped",
-                f"the train stands {view.distance_to_stop_m:.1f} m before its stop"
+                f"the train stands {abs(view.distance_to_stop_m):.1f} m {side} its stop"
                 f" (mode {view.mode}, supervision {view.supervision})",
             )
         if not self._departed and view.time_s > self._departure_limit_s:

@@ -362,3 +362,15 @@ def test_every_kind_of_library_scenario_builds(name: str, contract: Contract) ->
     assert unit.journey == load_journey(scenario)
     plant = Bench(unit, contract)
     assert plant.drive(3.0, 0.8)["speed_mps"] > 0.1
+
+
+def test_what_exceeds_a_signals_range_is_sent_as_its_limit(bench: Callable[..., Bench]) -> None:
+    plant = bench()
+    plant.step(cycles=5)
+    plant.unit.motion = plant.unit.motion._replace(traction_effort_n=2e6, pneumatic_effort_n=3e6)
+    outbox = Outbox(plant.contract, plant.unit.nodes, plant.unit.period_ns)
+    plant.unit._put(outbox)
+    frames = {can_id: data for cycle in range(10) for can_id, data in outbox.collect(cycle)}
+    for name, signal in (("TCU_Status", "TractiveEffort"), ("BCU_Status", "PneumaticEffort")):
+        codec = plant.contract.message(name)
+        assert codec.decode(frames[codec.can_id])[signal] == codec.signal(signal).si_limits[1]
