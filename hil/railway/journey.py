@@ -57,8 +57,8 @@ def load_journey(scenario: Path) -> Journey:
     Raises RailwayDataError: file, key, value and limit in one line.
     """
     table = validate(JourneyTable, scenario_table(scenario, "journey", required=True), scenario, "journey")
-    line = load_line(_found(scenario, "line", table.line))
     train = load_train(_found(scenario, "train", table.train))
+    line = load_line(_found(scenario, "line", table.line)).capped(train.max_speed_mps)
     origin = _stop(scenario, line, "from", table.from_)
     destination = _stop(scenario, line, "to", table.to)
     if not destination.position_m > origin.position_m:

@@ -1,4 +1,7 @@
-"""The shipped lines, trains and scenarios, and how a name or a path becomes a file."""
+"""The shipped lines, trains and scenarios, and how a name or a path becomes a file.
+
+Lines and trains are TOML files of ours, or TTOBench JSON files, which are in `ttobench/` as published.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from pathlib import Path
 
 from hil.railway.errors import RailwayDataError
 from hil.railway.files import choices, read_toml
+from hil.railway.ttobench import ttobench_title
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ def find_train(name_or_path: str, beside: Path | None = None) -> Path:
 
 
 def find_scenario(name_or_path: str, beside: Path | None = None) -> Path:
-    """File of a scenario: a library name, or a path that ends in .toml.
+    """File of a scenario: a library name, or a path that ends in .toml (lines and trains: or .json).
 
     A relative path is looked up in `beside`, then in the working directory. RailwayDataError says
     which names there are, or that the file is missing.
@@ -57,22 +61,37 @@ def _folder(kind: str) -> Path:
     return Path(str(files("hil.library"))) / f"{kind}s"
 
 
-def _list(kind: str) -> tuple[Entry, ...]:
+_TTOBENCH = {"line": "tracks", "train": "trains"}
+
+
+def _shipped(kind: str) -> list[Path]:
+    """Files of a kind, ours first."""
     paths = sorted(_folder(kind).glob("*.toml"))
-    return tuple(Entry(path.stem, str(read_toml(path).get("title", "")), path) for path in paths)
+    if kind in _TTOBENCH:
+        paths += sorted((_folder(kind).parent / "ttobench" / _TTOBENCH[kind]).glob("*.json"))
+    return paths
+
+
+def _list(kind: str) -> tuple[Entry, ...]:
+    return tuple(Entry(path.stem, _title(path), path) for path in _shipped(kind))
+
+
+def _title(path: Path) -> str:
+    return ttobench_title(path) if path.suffix == ".json" else str(read_toml(path).get("title", ""))
 
 
 def _find(kind: str, name_or_path: str, beside: Path | None) -> Path:
-    if name_or_path.endswith(".toml"):
+    endings = (".toml", ".json") if kind in _TTOBENCH else (".toml",)
+    if name_or_path.endswith(endings):
         given = Path(name_or_path).expanduser()
         for candidate in (given,) if beside is None else (beside / given, given):
             if candidate.is_file():
                 return candidate
         raise RailwayDataError(f"{name_or_path}: no such {kind} file")
-    shipped = {path.stem: path for path in sorted(_folder(kind).glob("*.toml"))}
+    shipped = {path.stem: path for path in _shipped(kind)}
     if name_or_path in shipped:
         return shipped[name_or_path]
     raise RailwayDataError(
         f"no {kind} {name_or_path!r} in the library; {choices(name_or_path, list(shipped))}; "
-        f"or give the path of a .toml file"
+        f"or give the path of a {' or '.join(endings)} file"
     )

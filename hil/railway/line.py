@@ -8,7 +8,7 @@ limit, and outside the line the track is level and straight.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Protocol
@@ -114,6 +114,20 @@ class Line:
                 return stop
         names = ", ".join(repr(stop.name) for stop in self.stops) or "none"
         raise RailwayDataError(f"line {self.name}: no stop {which!r}; it has {names}")
+
+    def capped(self, max_speed_mps: float) -> Line:
+        """The line with no limit above this speed, as a train of that maximum speed may use it."""
+        limits = [self.default_limit_mps, *(section.limit_mps for section in self.speed_limits)]
+        if max(limits) <= max_speed_mps:
+            return self
+        return replace(
+            self,
+            default_limit_mps=min(self.default_limit_mps, max_speed_mps),
+            speed_limits=tuple(
+                replace(section, limit_mps=min(section.limit_mps, max_speed_mps))
+                for section in self.speed_limits
+            ),
+        )
 
     def speed_limit_mps(self, front_m: float, length_m: float = 0.0) -> float:
         """Lowest limit [m/s] anywhere under a train with its front here."""

@@ -1,5 +1,7 @@
 """A line file: TOML to `Line`. Lengths in m, speeds in km/h, gradients in permille.
 
+TTOBench JSON is read as well, see `ttobench`.
+
 schema = 1
 name = "example"
 title = "One section"
@@ -35,6 +37,7 @@ from hil.railway.errors import RailwayDataError
 from hil.railway.files import SCHEMA, FileModel, read_toml, validate
 from hil.railway.line import Balise, Curve, Gradient, Line, SpeedLimit, Stop, Tunnel
 from hil.railway.resistance import CURVE_COEFFICIENT, tunnel_n_per_kn
+from hil.railway.ttobench import load_ttobench_line
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -46,7 +49,9 @@ Radius = Annotated[float, Field(ge=10.0)]
 
 
 def load_line(path: Path) -> Line:
-    """Line of a file. RailwayDataError: file, key, value and limit in one line."""
+    """Line of a file, TOML or TTOBench JSON. RailwayDataError: file, key, value and limit in one line."""
+    if path.suffix == ".json":
+        return load_ttobench_line(path)
     file = validate(LineFile, read_toml(path), path)
     try:
         return Line(

@@ -7,6 +7,7 @@ Efforts are at the wheel rim. Everything here is static; how fast a drive answer
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -127,11 +128,34 @@ class Train:
     max_acceleration_mps2: float
     max_braking_mps2: float  # full service brake, positive
     comfort_jerk_mps3: float
+    max_speed_mps: float = math.inf  # of the vehicle, whatever the line permits
+    traction_efficiency: float = 1.0  # work at the wheel rim over energy from the line
+    regeneration_efficiency: float = 0.0  # energy back to the line over electrodynamic braking work
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.traction_efficiency <= 1.0:
+            raise RailwayDataError(
+                f"traction_efficiency: {self.traction_efficiency:g} must be greater than 0 and at most 1"
+            )
+        if not 0.0 <= self.regeneration_efficiency <= 1.0:
+            raise RailwayDataError(
+                f"regeneration_efficiency: {self.regeneration_efficiency:g} must be at least 0 and at most 1"
+            )
+        if not self.max_speed_mps > 0.0:
+            raise RailwayDataError(f"max_speed_mps: {self.max_speed_mps:g} must be greater than 0")
 
     @property
     def effective_mass_kg(self) -> float:
         """Mass with the allowance for rotating parts [kg]."""
         return self.mass_kg * (1.0 + self.rotating_mass_factor)
+
+    def line_energy_j(self, traction_j: float, regenerated_j: float) -> float:
+        """Net energy [J] at the line side of this much traction and electrodynamic braking work.
+
+        Losses between pantograph and wheel rim as two constant efficiencies, as TTOBench has them
+        (Kouzoupis et al. 2023, doi:10.1007/s43069-023-00248-x); no auxiliaries.
+        """
+        return traction_j / self.traction_efficiency - self.regeneration_efficiency * regenerated_j
 
     def traction_effort_n(self, speed_mps: float) -> float:
         """Effort of demand +1 at this speed [N]."""

@@ -1,5 +1,7 @@
 """A train file: TOML to `Train`. Masses in t, efforts in kN, power in kW, speeds in km/h.
 
+TTOBench JSON is read as well, see `ttobench`.
+
 schema = 1
 name = "example"
 title = "Four cars"
@@ -12,6 +14,9 @@ starting_resistance_n_per_kn = 0.0        # optional
 max_acceleration_mps2 = 1.0
 max_braking_mps2 = 1.3                    # full service brake
 comfort_jerk_mps3 = 0.7
+max_speed_kmh = 80.0                      # optional; of the vehicle, whatever the line permits
+traction_efficiency = 0.85                # optional, 1.0; wheel rim over line
+regeneration_efficiency = 0.70            # optional, 0.0; back to the line over braking work
 
 [davis]                                   # a + b v + c v^2 in N, v in m/s; or instead of it
 a_n = 2965.0                              # [specific_davis]: a_n_per_kn, b_n_per_kn_per_kmh,
@@ -40,6 +45,7 @@ dead_time_s = 0.2
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -57,6 +63,7 @@ from hil.railway.train import (
     TractionDrive,
     Train,
 )
+from hil.railway.ttobench import load_ttobench_train
 
 Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 # Metro trains have 0.05 to 0.12; a value of 1.08 is the other convention and must not pass.
@@ -64,7 +71,9 @@ RotatingFactor = Annotated[float, Field(ge=0.0, le=0.5)]
 
 
 def load_train(path: Path) -> Train:
-    """Train of a file. RailwayDataError: file, key, value and limit in one line."""
+    """Train of a file, TOML or TTOBench JSON. RailwayDataError: file, key, value and limit in one line."""
+    if path.suffix == ".json":
+        return load_ttobench_train(path)
     file = validate(TrainFile, read_toml(path), path)
     mass_kg = file.mass_t * 1000.0
     if (file.davis is None) == (file.specific_davis is None):
@@ -89,6 +98,9 @@ def load_train(path: Path) -> Train:
             max_acceleration_mps2=file.max_acceleration_mps2,
             max_braking_mps2=file.max_braking_mps2,
             comfort_jerk_mps3=file.comfort_jerk_mps3,
+            max_speed_mps=math.inf if file.max_speed_kmh is None else file.max_speed_kmh / 3.6,
+            traction_efficiency=file.traction_efficiency,
+            regeneration_efficiency=file.regeneration_efficiency,
         )
     except RailwayDataError as error:
         raise RailwayDataError(f"{path}: {error}") from None
@@ -199,6 +211,9 @@ class TrainFile(FileModel):
     max_acceleration_mps2: Positive
     max_braking_mps2: Positive
     comfort_jerk_mps3: Positive
+    max_speed_kmh: Positive | None = None
+    traction_efficiency: Fraction = 1.0
+    regeneration_efficiency: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     davis: DavisTable | None = None
     specific_davis: SpecificDavisTable | None = None
     traction: DriveTable
