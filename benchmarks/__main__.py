@@ -14,7 +14,7 @@ from rich.table import Table
 
 from benchmarks.rows import Row
 
-NAMES = ("codec", "protection", "fuzzy", "wakeup", "local_bus", "lockstep")
+NAMES = ("codec", "protection", "fuzzy", "laws", "profile", "wakeup", "local_bus", "lockstep")
 
 
 def main() -> int:

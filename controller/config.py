@@ -11,21 +11,28 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from controller.laws.fuzzy_d import FuzzyDParameters
-from controller.laws.pid import PidGains
+from controller.laws.tables import (
+    FsmcConfig,
+    FsmcEsoConfig,
+    FuzzyDConfig,
+    FuzzyPidConfig,
+    PidConfig,
+    SmcConfig,
+    SpeedTConfig,
+)
 from hil.railway import scenario_table
 from hil.railway.files import FileModel, validate
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
-Two = Annotated[tuple[Positive, Positive], Field(strict=False)]
-Three = Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
 
 
 class ProfileConfig(FileModel):
     """The plan: how the train should run, before any control."""
 
+    planner: Literal["optimal", "plain"] = "optimal"
+    """Least energy, or the plain plan: accelerate, cruise, coast, brake. Re-planning is always optimal."""
     acceleration_mps2: Annotated[float, Field(gt=0.05, le=2.0)] | None = None
     """Default: 0.85 of what the train reaches (`max_acceleration_mps2`)."""
     braking_mps2: Annotated[float, Field(gt=0.05, le=2.0)] | None = None
@@ -44,7 +51,21 @@ class ProfileConfig(FileModel):
     brake_share: Share = 0.8
     """Shares of the nominal effort that the plan may use; the rest is the law's."""
     coasting_share: Annotated[float, Field(gt=0.1, le=1.0)] = 0.9
-    """With time to spare the train coasts from the cruising speed down to this share of it."""
+    """With time to spare the plain plan coasts from the cruising speed down to this share of it."""
+
+
+class ReplanningConfig(FileModel):
+    """When the plan is made anew while the train is on its way; see :mod:`controller.replanning`."""
+
+    enabled: bool = True
+    threshold_s: Annotated[float, Field(ge=0.2)] = 2.0
+    """So late, or early, against its plan, the unit asks for a new one. A speed restriction asks at once."""
+    departure_s: NotNegative = 1.0
+    """Departure is due so long after the unit is first READY; the timetable's clock starts then."""
+    take_after_s: Annotated[float, Field(ge=0.05, le=2.0)] = 0.3
+    """A new plan is taken so long after it was asked for: in lockstep exactly then, else not before."""
+    interval_s: NotNegative = 10.0
+    """Least time between two new plans that are asked for because of the timetable."""
 
 
 class FeedForwardConfig(FileModel):
@@ -61,43 +82,6 @@ class FeedForwardConfig(FileModel):
     """Whether the laws see the plan's acceleration at all."""
     resistance: bool = True
     """Whether Davis, gradient and curve resistance are added behind the law."""
-
-
-class FuzzyDConfig(FileModel):
-    """Parameters of the Fuzzy-D law; see :class:`controller.laws.fuzzy_d.FuzzyDParameters`."""
-
-    error_peaks_mps: Two = (0.5, 1.0)
-    rate_peaks_mps2: Two = (1.0, 2.0)
-    output_peaks_mps2: Three = (0.5, 1.0, 1.5)
-    gain: Positive = 1.0
-    derivative_gain: NotNegative = 0.2
-    integral_gain_per_s2: NotNegative = 0.25
-    rate_filter_s: NotNegative = 0.3
-
-    @model_validator(mode="after")
-    def _ascending(self) -> Self:
-        for key in ("error_peaks_mps", "rate_peaks_mps2", "output_peaks_mps2"):
-            peaks = getattr(self, key)
-            if list(peaks) != sorted(set(peaks)):
-                raise ValueError(f"{key} {list(peaks)} must ascend")
-        return self
-
-    def parameters(self) -> FuzzyDParameters:
-        """The law's own parameters."""
-        return FuzzyDParameters(**self.model_dump())
-
-
-class PidConfig(FileModel):
-    """Gains of the PID law; see :class:`controller.laws.pid.PidGains` (and PAPER_GAINS there)."""
-
-    kp_per_s: NotNegative = 2.0
-    ki_per_s2: NotNegative = 0.3
-    kd: NotNegative = 0.5
-    derivative_filter_per_s: Positive = 3.3
-
-    def parameters(self) -> PidGains:
-        """The law's own gains."""
-        return PidGains(**self.model_dump())
 
 
 class SupervisionConfig(FileModel):
@@ -144,12 +128,18 @@ class HoldConfig(FileModel):
 class ControllerConfig(FileModel):
     """The whole table `[controller]`."""
 
-    law: Literal["fuzzy_d", "pid"] = "fuzzy_d"
+    law: Literal["fuzzy_d", "pid", "speedt", "fuzzy_pid", "smc", "fsmc", "fsmc_eso"] = "fuzzy_d"
     period_s: Annotated[float, Field(gt=0.0, le=0.1)] = 0.01
     profile: ProfileConfig = ProfileConfig()
+    replanning: ReplanningConfig = ReplanningConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
-    fuzzy_d: FuzzyDConfig = FuzzyDConfig()
     pid: PidConfig = PidConfig()
+    speedt: SpeedTConfig = SpeedTConfig()
+    fuzzy_d: FuzzyDConfig = FuzzyDConfig()
+    fuzzy_pid: FuzzyPidConfig = FuzzyPidConfig()
+    smc: SmcConfig = SmcConfig()
+    fsmc: FsmcConfig = FsmcConfig()
+    fsmc_eso: FsmcEsoConfig = FsmcEsoConfig()
     supervision: SupervisionConfig = SupervisionConfig()
     hold: HoldConfig = HoldConfig()
 

@@ -14,13 +14,16 @@ class EffortMap:
     The meaning of an effort demand is :meth:`hil.railway.Train.demand`, which the plant shares.
     """
 
+    mass_kg: float
+    """Nominal mass with rotating parts."""
+
     def __init__(self, line: Line, train: Train, *, resistance: bool = True) -> None:
         track = line.track_resistance
         self._train = train
         self._edges = track.edges_m.tolist()
         self._integral = track.integral_m.tolist()
         self._specific = track.specific_n_per_kn.tolist()
-        self._mass_kg = train.effective_mass_kg
+        self.mass_kg = train.effective_mass_kg
         self._length_m = train.length_m
         self._track_n_per_specific = specific_to_n(1.0, train.mass_kg)
         self._compensates = resistance
@@ -32,17 +35,17 @@ class EffortMap:
         length = self._length_m
         mean = (self._track_integral(position_m) - self._track_integral(position_m - length)) / length
         force = self._train.running_resistance_n(speed_mps) + mean * self._track_n_per_specific
-        return force / self._mass_kg
+        return force / self.mass_kg
 
     def authority_mps2(self, speed_mps: float, resistance_mps2: float) -> tuple[float, float]:
         """Lowest and highest acceleration that the nominal train reaches at this speed."""
-        brake = self._train.service_brake_effort_n(speed_mps) / self._mass_kg
-        traction = self._train.traction_effort_n(speed_mps) / self._mass_kg
+        brake = self._train.service_brake_effort_n(speed_mps) / self.mass_kg
+        traction = self._train.traction_effort_n(speed_mps) / self.mass_kg
         return -brake - resistance_mps2, traction - resistance_mps2
 
     def demand(self, acceleration_mps2: float, resistance_mps2: float, speed_mps: float) -> float:
         """Effort demand in [-1, 1] that gives this acceleration."""
-        force = (acceleration_mps2 + resistance_mps2) * self._mass_kg
+        force = (acceleration_mps2 + resistance_mps2) * self.mass_kg
         return self._train.demand(force, speed_mps)
 
     def _track_integral(self, position_m: float) -> float:

@@ -53,7 +53,7 @@ class Conditions:
     braking_to_stop: bool = False
     """The plan has begun its last braking."""
     arrived: bool = False
-    """The train stands within the stop window, or past it."""
+    """The train stands within the stop window, or past the stop by less than counts as an overrun."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ State (number of the bus contract), worst first; the reported state is the worst
 | ROLL_BACK              | moving backward by distance or speed          | emergency brake     | never       |
 | STOP_OVERRUN           | `overrun_m` past the stop                     | service brake       | never       |
 | ODOMETRY_LOST          | ODO silent                                    | service brake (*)   | recovered   |
-| ODOMETRY_INVALID       | flagged, E2E latch, implausible speed         | service brake (*)   | recovered   |
+| ODOMETRY_INVALID       | flagged, E2E latch, implausible (**)          | service brake (*)   | recovered   |
 | PERMISSION_LOST        | ATP silent, departure withdrawn, doors open   | service brake       | recovered   |
 | OVERSPEED_BRAKE        | above permitted + `overspeed_brake_mps`       | service brake       | permitted   |
 | DEADLINES_MISSED       | too many own cycles missed                    | service brake       | decayed     |
@@ -20,6 +20,9 @@ State (number of the bus contract), worst first; the reported state is the worst
 | WAITING_FOR_INPUTS     | not driving, and an input is missing          | holding brake       | all valid   |
 
 (*) After `odometry_grace_s` without good odometry: emergency brake, for the rest of the run.
+(**) A speed that changes faster than `plausible_acceleration_mps2`; a position that moves farther than the
+speed explains, by more than `balise_tolerance_m`; a balise telegram from as far away. An overrun that such a
+position claims does not latch.
 recovered: good for `recovery_s`. permitted: speed at or below the permitted one again.
 
 Braking beats traction: reactions only ever lower the demand. Emergency brake reactions latch: only the
@@ -89,6 +92,8 @@ class Observation:
     permitted_mps: float = 100.0
     distance_to_stop_m: float = 1000.0
     balise_missed: bool = False
+    balise_far: bool = False
+    """A balise telegram came from where the train cannot be."""
     deadline_misses: int = 0
     """Total since the start."""
 
@@ -125,7 +130,9 @@ class Supervisor:
         self._overspeed = Reaction.NONE
         self._overrun = False
         self._last_speed_mps: float | None = None
-        self._cycles_since_speed = 0
+        self._last_position_m = 0.0
+        self._cycles_since_motion = 0
+        self._misses_at_motion = 0
         self._furthest_m: float | None = None
         self._misses = 0
         self._miss_level = 0.0
@@ -142,7 +149,8 @@ class Supervisor:
             self._started = True
         self._update_odometry(seen)
         self._update_emergencies(seen)
-        if seen.odometry_valid and seen.distance_to_stop_m < -self._config.overrun_m:
+        past_stop = seen.distance_to_stop_m < -self._config.overrun_m
+        if past_stop and seen.odometry_valid and not self._odometry_hold:
             self._overrun = True
         if seen.driving:
             self._update_driving(seen)
@@ -206,6 +214,7 @@ class Supervisor:
         return back > self._config.roll_back_m or seen.speed_mps < -self._config.roll_back_mps
 
     def _update_odometry(self, seen: Observation) -> None:
+        self._cycles_since_motion += 1
         good = seen.odometry_alive and seen.odometry_valid and self._plausible(seen)
         if good:
             self._odometry_hold = max(0, self._odometry_hold - 1)
@@ -219,16 +228,24 @@ class Supervisor:
         self._odometry_bad_cycles += 1
 
     def _plausible(self, seen: Observation) -> bool:
-        self._cycles_since_speed += 1
+        """Whether speed and position can follow from the last ones, own missed cycles counted in."""
         if not seen.odometry_fresh:
+            return not seen.balise_far
+        config = self._config
+        missed = max(0, seen.deadline_misses - self._misses_at_motion)
+        elapsed_s = (self._cycles_since_motion + missed) * self._period_s
+        before_mps, self._last_speed_mps = self._last_speed_mps, seen.speed_mps
+        before_m, self._last_position_m = self._last_position_m, seen.position_m
+        self._cycles_since_motion, self._misses_at_motion = 0, seen.deadline_misses
+        if seen.balise_far:
+            return False
+        if before_mps is None:
             return True
-        last, self._last_speed_mps = self._last_speed_mps, seen.speed_mps
-        elapsed_s = self._cycles_since_speed * self._period_s
-        self._cycles_since_speed = 0
-        if last is None or seen.slipping:
-            return True
-        allowed = self._config.plausible_acceleration_mps2 * elapsed_s + SPEED_NOISE_MPS
-        return abs(seen.speed_mps - last) <= allowed
+        fastest = max(abs(before_mps), abs(seen.speed_mps))
+        if abs(seen.position_m - before_m) > fastest * elapsed_s + config.balise_tolerance_m:
+            return False
+        allowed = config.plausible_acceleration_mps2 * elapsed_s + SPEED_NOISE_MPS
+        return seen.slipping or abs(seen.speed_mps - before_mps) <= allowed
 
     def _update_driving(self, seen: Observation) -> None:
         config = self._config

@@ -56,7 +56,7 @@ class BrakeControl:
         # the unit knows its own actuator, so the deviations of dead time and lag are known to it
         self._horizon_s = (
             train.pneumatic.dead_time_s * deviations.dead_time_factor
-            + HORIZON_LAGS * train.pneumatic.time_constant_s * deviations.time_constant_factor
+            + HORIZON_LAGS * train.pneumatic.time_constant_s * deviations.friction_time_constant_factor
         )
         self.state = BrakeState.HOLDING
         self.emergency = False

@@ -22,7 +22,7 @@ from plant_sim.vehicle import (
 
 
 class Motion(NamedTuple):
-    """State and forces after a cycle, as plain numbers; the first ten are `dynamics.State`."""
+    """State and forces after a cycle, as plain numbers; the first ten and `time_s` are `dynamics.State`."""
 
     position_m: float
     speed_mps: float
@@ -41,6 +41,7 @@ class Motion(NamedTuple):
     resistance_n: float
     slips: float
     slides: float
+    time_s: float
     delay_head: int
 
 
@@ -50,7 +51,8 @@ _PARAMETERS = (
     "electrodynamic_max_n", "electrodynamic_power_w", "electrodynamic_lag_s", "electrodynamic_rate",
     "fade_start_mps", "fade_end_mps", "service_effort_n", "max_braking_mps2", "brake_factor",
     "pneumatic_lag_s", "adhesion", "motored", "rate_loop_s", "prompt_rate_factor", "blocked_lag_s",
-    "pulses_off_s", "slide_margin_n",
+    "pulses_off_s", "slide_margin_n", "friction_factor", "disturbance_n", "disturbance_radps",
+    "disturbance_rad",
 )  # fmt: skip
 STATE = np.dtype([(n, np.int64 if n == "delay_head" else np.float64) for n in Motion._fields])
 PARAMETERS = np.dtype(
@@ -137,13 +139,17 @@ def _parameters(vehicle: Vehicle, substep_s: float) -> np.ndarray[Any, Any]:
         "service_effort_n": train.service_brake_effort_n(),
         "max_braking_mps2": train.max_braking_mps2,
         "brake_factor": deviations.brake_factor,
-        "pneumatic_lag_s": friction.time_constant_s * lag,
+        "friction_factor": deviations.brake_factor * deviations.friction_brake_factor,
+        "pneumatic_lag_s": friction.time_constant_s * deviations.friction_time_constant_factor,
         "adhesion": deviations.adhesion,
         "rate_loop_s": RATE_LOOP_S,
         "prompt_rate_factor": PROMPT_RATE_FACTOR,
         "blocked_lag_s": BLOCKED_LAG_S,
         "pulses_off_s": PULSES_OFF_S,
         "slide_margin_n": SLIDE_MARGIN_N,
+        "disturbance_n": vehicle.effective_mass_kg * vehicle.disturbance.amplitude_mps2,
+        "disturbance_radps": vehicle.disturbance.angular_frequency_radps,
+        "disturbance_rad": vehicle.disturbance.phase_rad,
         "motored": train.powered_mass_fraction,
         "traction_delay": delay_substeps(drive.dead_time_s * dead, substep_s),
         "electrodynamic_delay": delay_substeps(brake.dead_time_s * dead, substep_s),

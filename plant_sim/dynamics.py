@@ -55,7 +55,9 @@ class State:
     electrodynamic_work_j: float = 0.0
     pneumatic_work_j: float = 0.0
     resistance_work_j: float = 0.0
-    """Davis, curves, tunnels and gradient: what the rest of the balance goes into."""
+    """Davis, curves, tunnels, gradient and disturbance: what the rest of the balance goes into."""
+    time_s: float = 0.0
+    """Since the start."""
 
 
 class Forces(NamedTuple):
@@ -63,7 +65,7 @@ class Forces(NamedTuple):
 
     wheel: WheelForces
     resistance_n: float
-    """Davis, curve, tunnel and gradient, positive against the direction of the line."""
+    """Davis, curve, tunnel, gradient and disturbance, positive against the direction of the line."""
     acceleration_mps2: float
 
 
@@ -78,10 +80,12 @@ def drive_target_n(vehicle: Vehicle, state: State, traction: float, braking: flo
     speed = abs(state.speed_mps)
     target_n = traction * train.traction_effort_n(speed)
     if braking < 0.0:
-        lag_s, friction_lag_s = train.electrodynamic.time_constant_s, train.pneumatic.time_constant_s
+        deviations = vehicle.deviations  # the units know their own actuators
+        lag_s = train.electrodynamic.time_constant_s * deviations.time_constant_factor
+        friction_lag_s = train.pneumatic.time_constant_s * deviations.friction_time_constant_factor
         lead = min(1.0, lag_s / friction_lag_s)
         friction_n = state.pneumatic_n + lead * (state.pneumatic_limited_n - state.pneumatic_n)
-        later = speed + braking * train.max_braking_mps2 * lag_s * vehicle.deviations.time_constant_factor
+        later = speed + braking * train.max_braking_mps2 * lag_s
         missing_n = -braking * train.service_brake_effort_n(speed) - friction_n
         target_n -= min(max(missing_n, 0.0), train.electrodynamic.effort_n(max(later, 0.0)))
     return target_n
@@ -90,7 +94,7 @@ def drive_target_n(vehicle: Vehicle, state: State, traction: float, braking: flo
 def forces(vehicle: Vehicle, state: State, direction: float) -> Forces:
     """Forces for motion in `direction` (+1, -1); 0 is standstill, where nothing accelerates."""
     wheel = at_the_rail(vehicle, state.speed_mps, state.drive_n, state.pneumatic_n)
-    track = vehicle.track(state.position_m)
+    track = vehicle.track(state.position_m, state.time_s)
     if direction == 0.0:
         return Forces(wheel, track.gradient_n, 0.0)
     resistance_n = track.gradient_n + direction * (vehicle.davis_n(state.speed_mps) + track.friction_n)
@@ -147,7 +151,7 @@ def _delay_line(dead_time_s: float, substep_s: float, value: float) -> deque[flo
 def _surplus_n(vehicle: Vehicle, state: State) -> tuple[float, float]:
     """At standstill: force that moves the train, and what holds it [N]."""
     wheel = at_the_rail(vehicle, 0.0, state.drive_n, state.pneumatic_n)
-    track = vehicle.track(state.position_m)
+    track = vehicle.track(state.position_m, state.time_s)
     starting_n = specific_to_n(vehicle.train.starting_resistance_n_per_kn, vehicle.mass_kg)
     return (
         wheel.traction_n - track.gradient_n,
@@ -170,7 +174,7 @@ def _derivative(
     brake_rate = train.electrodynamic.jerk_limit_mps3 * nominal_mass_kg
     if orders.prompt:
         brake_rate *= PROMPT_RATE_FACTOR
-    brake_lag_s = train.pneumatic.time_constant_s * vehicle.deviations.time_constant_factor
+    brake_lag_s = train.pneumatic.time_constant_s * vehicle.deviations.friction_time_constant_factor
     drive_limited_rate = _limited((target_n - state.drive_limited_n) / RATE_LOOP_S, rate)
     drive_rate = (state.drive_limited_n - state.drive_n) / lag_s
     if not orders.drive_enabled and state.drive_n > 0.0:
@@ -190,6 +194,7 @@ def _derivative(
         electrodynamic_work_j=now.wheel.electrodynamic_n * direction * speed,
         pneumatic_work_j=now.wheel.pneumatic_n * direction * speed,
         resistance_work_j=now.resistance_n * speed,
+        time_s=1.0,
     )
 
 

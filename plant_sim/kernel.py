@@ -44,12 +44,19 @@ def _track_forces(p, track, front):
 
 
 @njit(cache=True)
+def _with_disturbance(p, gradient, time):
+    if p.disturbance_n != 0.0:
+        gradient -= p.disturbance_n * np.sin(p.disturbance_radps * time + p.disturbance_rad)
+    return gradient
+
+
+@njit(cache=True)
 def _at_the_rail(p, speed, drive, pneumatic):
     limit = p.adhesion * (0.161 + 7.5 / (abs(speed) * 3.6 + 44.0)) * p.weight_n
     on_motored = p.motored * limit
     wanted_traction = p.traction_factor * max(0.0, drive)
     wanted_brake = p.brake_factor * max(0.0, -drive)
-    wanted_friction = p.brake_factor * pneumatic
+    wanted_friction = p.friction_factor * pneumatic
     traction = min(wanted_traction, on_motored)
     brake = min(wanted_brake, on_motored)
     friction = min(p.motored * wanted_friction, on_motored - brake)
@@ -68,17 +75,18 @@ def _resistance(p, gradient, friction, speed, direction):
 
 
 @njit(cache=True)
-def _surplus(p, track, position, drive, pneumatic):
+def _surplus(p, track, time, position, drive, pneumatic):
     traction, _, brake, _, _ = _at_the_rail(p, 0.0, drive, pneumatic)
     gradient, friction = _track_forces(p, track, position)
+    gradient = _with_disturbance(p, gradient, time)
     return traction - gradient, brake + p.davis_a_n + friction + p.starting_n
 
 
 @njit(cache=True)
-def _direction(p, track, position, speed, drive, pneumatic):
+def _direction(p, track, time, position, speed, drive, pneumatic):
     if speed != 0.0:
         return 1.0 if speed > 0.0 else -1.0
-    surplus, held = _surplus(p, track, position, drive, pneumatic)
+    surplus, held = _surplus(p, track, time, position, drive, pneumatic)
     if abs(surplus) <= held:
         return 0.0
     return 1.0 if surplus > 0.0 else -1.0
@@ -90,7 +98,7 @@ def _limited(rate, limit):
 
 
 @njit(cache=True)
-def _derivative(p, track, traction_points, brake_points, order, direction, x, v, fl, f, pl, pn):
+def _derivative(p, track, traction_points, brake_points, order, direction, t, x, v, fl, f, pl, pn):
     traction, braking, pneumatic_order, enabled, brake_rate = order
     speed = abs(v)
     target = 0.0
@@ -118,6 +126,7 @@ def _derivative(p, track, traction_points, brake_points, order, direction, x, v,
         drive_rate = -f / p.pulses_off_s
     wheel = _at_the_rail(p, v, f, pn)
     gradient, friction = _track_forces(p, track, x)
+    gradient = _with_disturbance(p, gradient, t)
     resistance = _resistance(p, gradient, friction, v, direction)
     if direction == 0.0:
         v = 0.0
@@ -145,21 +154,23 @@ def _substep(s, p, track, traction_points, brake_points, order):
     x, v, fl, f, pl, pn = (
         s.position_m, s.speed_mps, s.drive_limited_n, s.drive_n, s.pneumatic_limited_n, s.pneumatic_n,
     )  # fmt: skip
-    direction = _direction(p, track, x, v, f, pn)
-    a = _derivative(p, track, traction_points, brake_points, order, direction, x, v, fl, f, pl, pn)
+    t = s.time_s
+    s.time_s = t + dt
+    direction = _direction(p, track, t, x, v, f, pn)
+    a = _derivative(p, track, traction_points, brake_points, order, direction, t, x, v, fl, f, pl, pn)
     b = _derivative(
         p, track, traction_points, brake_points, order, direction,
-        x + half * a[0], v + half * a[1], fl + half * a[2],
+        t + half, x + half * a[0], v + half * a[1], fl + half * a[2],
         f + half * a[3], pl + half * a[4], pn + half * a[5],
     )  # fmt: skip
     c = _derivative(
         p, track, traction_points, brake_points, order, direction,
-        x + half * b[0], v + half * b[1], fl + half * b[2],
+        t + half, x + half * b[0], v + half * b[1], fl + half * b[2],
         f + half * b[3], pl + half * b[4], pn + half * b[5],
     )  # fmt: skip
     d = _derivative(
         p, track, traction_points, brake_points, order, direction,
-        x + dt * c[0], v + dt * c[1], fl + dt * c[2],
+        t + dt, x + dt * c[0], v + dt * c[1], fl + dt * c[2],
         f + dt * c[3], pl + dt * c[4], pn + dt * c[5],
     )  # fmt: skip
     sixth = dt / 6.0
@@ -184,8 +195,8 @@ def _substep(s, p, track, traction_points, brake_points, order):
     s.pneumatic_work_j += sixth * (a[8] + 2.0 * b[8] + 2.0 * c[8] + d[8])
     s.resistance_work_j += sixth * (a[9] + 2.0 * b[9] + 2.0 * c[9] + d[9])
     if direction == 0.0:  # may break away inside the sub-step
-        surplus_before, held_before = _surplus(p, track, x, f, pn)
-        surplus, held = _surplus(p, track, x, s.drive_n, s.pneumatic_n)
+        surplus_before, held_before = _surplus(p, track, t, x, f, pn)
+        surplus, held = _surplus(p, track, s.time_s, x, s.drive_n, s.pneumatic_n)
         if abs(surplus) > held:
             direction = 1.0 if surplus > 0.0 else -1.0
             missing = held_before - direction * surplus_before
@@ -218,9 +229,10 @@ def advance(
         )
         _substep(s, p, track, traction_points, brake_points, order)
     s.delay_head = head
-    direction = _direction(p, track, s.position_m, s.speed_mps, s.drive_n, s.pneumatic_n)
+    direction = _direction(p, track, s.time_s, s.position_m, s.speed_mps, s.drive_n, s.pneumatic_n)
     wheel = _at_the_rail(p, s.speed_mps, s.drive_n, s.pneumatic_n)
     gradient, friction = _track_forces(p, track, s.position_m)
+    gradient = _with_disturbance(p, gradient, s.time_s)
     resistance = _resistance(p, gradient, friction, s.speed_mps, direction)
     s.acceleration_mps2 = 0.0
     if direction != 0.0:

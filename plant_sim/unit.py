@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.canbus.contract import Contract
+from hil.canbus.contract import Contract, ContractError
 from hil.node import Inbox, Outbox, Probe
-from hil.railway import Journey, load_journey
+from hil.node.outbox import check_period
+from hil.railway import Journey, RailwayDataError, load_journey
 from plant_sim.atp import Protection
 from plant_sim.brakes import BrakeControl
 from plant_sim.command import CommandState, CommandWatch
@@ -20,7 +21,7 @@ from plant_sim.config import PlantConfig
 from plant_sim.dynamics import Orders
 from plant_sim.odometry import Odometry
 from plant_sim.traction import TractionControl, TractionState
-from plant_sim.vehicle import Deviations, Vehicle
+from plant_sim.vehicle import Deviations, Disturbance, Vehicle
 
 PROBES = (
     Probe("position_m", "m"),
@@ -54,7 +55,12 @@ MAX_TARGET_DISTANCE_M = 100_000.0
 
 def build(scenario: Path, contract: Contract) -> PlantUnit:
     """The plant of a scenario file; RailwayDataError or ContractError say what is wrong in one line."""
-    return PlantUnit(load_journey(scenario), PlantConfig.load(scenario), contract)
+    config = PlantConfig.load(scenario)
+    try:
+        check_period(contract, PlantUnit.nodes, config.period_ns)
+    except ContractError as error:
+        raise RailwayDataError(f"{scenario}: plant.period_s: {error}") from None
+    return PlantUnit(load_journey(scenario), config, contract)
 
 
 class PlantUnit:
@@ -68,7 +74,7 @@ class PlantUnit:
 
     def __init__(self, journey: Journey, config: PlantConfig, contract: Contract) -> None:
         contract.require(
-            [*self.receives, *CYCLIC, "ODO_Balise", "TCU_Emergency", "BCU_Emergency"]
+            [*self.receives, *CYCLIC, "ODO_Balise", "ATP_Restriction", "TCU_Emergency", "BCU_Emergency"]
         )  # fmt: skip
         self._contract = contract
         self._codecs = {name: contract.message(name) for name in CYCLIC}
@@ -77,7 +83,8 @@ class PlantUnit:
         self.period_ns = config.period_ns
         train = journey.train
         deviations = Deviations(**config.train.model_dump())
-        self.vehicle = Vehicle(train, journey.line, deviations, config.point_mass)
+        disturbance = Disturbance(**config.disturbance.model_dump())
+        self.vehicle = Vehicle(train, journey.line, deviations, config.point_mass, disturbance)
         start_m = journey.origin.position_m
         self._dynamics = KernelDynamics(
             self.vehicle, start_m, config.substep_s, train.pneumatic.holding_effort_n
@@ -87,7 +94,9 @@ class PlantUnit:
         self._brakes = BrakeControl(train, config.command, deviations)
         self._odometry = Odometry(config.odometry, journey.line.balises, start_m, journey.seed)
         self._protection = Protection(journey, config.atp, self.vehicle.length_m)
+        # the units report nominal efforts: they do not know what share of them arrives
         self._believed = (1.0 / deviations.traction_factor, 1.0 / deviations.brake_factor)
+        self._believed_friction = self._believed[1] / deviations.friction_brake_factor
         self._started_ns: int | None = None
         self._cycles = 0
         self._lost_before = False
@@ -122,6 +131,8 @@ class PlantUnit:
             self._report_emergency(outbox)
         for balise in self._odometry.passed:
             outbox.event("ODO_Balise", {"Number": balise.number, "Position": balise.position_m})
+        for told in self._protection.announcements:
+            outbox.event("ATP_Restriction", told)
 
     def probe(self) -> tuple[float, ...]:
         """Ground truth after the step, in the order of `probes`."""
@@ -191,7 +202,7 @@ class PlantUnit:
         self._send(outbox, "BCU_Status", {
             "State": brakes.state,
             "ElectrodynamicEffort": motors_n,
-            "PneumaticEffort": motion.pneumatic_effort_n * self._believed[1],
+            "PneumaticEffort": motion.pneumatic_effort_n * self._believed_friction,
             "CommandStatus": status,
             "HoldingApplied": brakes.holding_applied(motion),
             "EmergencyApplied": brakes.emergency,

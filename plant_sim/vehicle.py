@@ -7,6 +7,7 @@ is the nominal effort times the factors given here.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import sin
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +51,24 @@ class Deviations:
     dead_time_factor: float = 1.0
     adhesion: float = 1.0
     """Factor of the adhesion of dry rail."""
+    gradient_factor: float = 1.0
+    friction_brake_factor: float = 1.0
+    """Of the friction brake alone, on top of `brake_factor`."""
+    friction_time_constant_factor: float = 1.0
+    """Of the friction brake; `time_constant_factor` is that of the drive."""
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """An acceleration A sin(w t + phase), t from the start of the run; FSMC paper, equation 11."""
+
+    amplitude_mps2: float = 0.0
+    angular_frequency_radps: float = 1.0
+    phase_rad: float = 0.0
+
+    def acceleration_mps2(self, time_s: float) -> float:
+        """Positive pushes forward."""
+        return self.amplitude_mps2 * sin(self.angular_frequency_radps * time_s + self.phase_rad)
 
 
 @dataclass(frozen=True)
@@ -60,6 +79,7 @@ class Vehicle:
     line: Line
     deviations: Deviations = field(default_factory=Deviations)
     point_mass: bool = False
+    disturbance: Disturbance = field(default_factory=Disturbance)
 
     @property
     def length_m(self) -> float:
@@ -80,12 +100,14 @@ class Vehicle:
         """True running resistance [N]."""
         return self.deviations.davis_factor * self.train.running_resistance_n(speed_mps)
 
-    def track(self, front_m: float) -> TrackForces:
-        """What the track does to the train here."""
+    def track(self, front_m: float, time_s: float = 0.0) -> TrackForces:
+        """What the track, and the disturbance, do to the train here and now."""
         gradient = self.line.mean_gradient(front_m, self.length_m)
         total = self.line.mean_specific_resistance(front_m, self.length_m)
+        pull_n = self.effective_mass_kg * self.disturbance.acceleration_mps2(time_s)
         return TrackForces(
-            specific_to_n(gradient, self.mass_kg), specific_to_n(total - gradient, self.mass_kg)
+            specific_to_n(gradient * self.deviations.gradient_factor, self.mass_kg) - pull_n,
+            specific_to_n(total - gradient, self.mass_kg),
         )
 
     def adhesion_coefficient(self, speed_mps: float) -> float:
@@ -99,7 +121,7 @@ class Vehicle:
         middles = 0.5 * (edges[:-1] + edges[1:])
         gradient = np.array([self.line.gradient_permille(x) for x in middles])
         return (
-            TrackResistance.from_steps(edges, gradient),
+            TrackResistance.from_steps(edges, gradient * self.deviations.gradient_factor),
             TrackResistance.from_steps(edges, total.specific_n_per_kn - gradient),
         )
 
@@ -108,7 +130,7 @@ class TrackForces(NamedTuple):
     """Forces of the track on the train [N]."""
 
     gradient_n: float
-    """Pulls back uphill (positive) and forward downhill (negative), moving or not."""
+    """Pulls back uphill (positive) and forward downhill (negative), moving or not; so does a disturbance."""
     friction_n: float
     """Curves and tunnels: never negative, against the motion."""
 
@@ -137,7 +159,7 @@ def at_the_rail(vehicle: Vehicle, speed_mps: float, drive_n: float, pneumatic_n:
     motored = vehicle.train.powered_mass_fraction
     traction_n = deviations.traction_factor * max(0.0, drive_n)
     electrodynamic_n = deviations.brake_factor * max(0.0, -drive_n)
-    friction_n = deviations.brake_factor * pneumatic_n
+    friction_n = deviations.brake_factor * deviations.friction_brake_factor * pneumatic_n
     limited_traction_n = min(traction_n, motored * limit_n)
     limited_electrodynamic_n = min(electrodynamic_n, motored * limit_n)
     on_motored_n = min(motored * friction_n, motored * limit_n - limited_electrodynamic_n)

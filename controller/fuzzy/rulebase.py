@@ -1,101 +1,115 @@
-"""A fuzzy rule base, declared once and readably: terms, membership functions, rules.
+"""A fuzzy rule base, declared once and readably: two inputs, one output, rules, conjunction, defuzzification.
 
-Two inputs, one output, Mamdani: and = min, implication = min, aggregation = max, defuzzification by
-the discrete centroid over equally spaced points of the output universe. Terms are triangles that reach
-zero at their neighbours' peaks; the first and the last term are shoulders, which is the same as
-clipping the input to the universe. The memberships of any input therefore sum to one and some rule
-always fires: a rule base that loads has no hole.
+Mamdani: implication = min, aggregation = max. A rule base that loads is proven: every input fires a rule
+(see :mod:`controller.fuzzy.coverage`), all numbers are finite and in order, and every term is used or the
+declaration says that it is not. The rule bases of the control laws are in :mod:`controller.fuzzy.bases`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
-FIVE_TERMS = ("NB", "NS", "Z", "PS", "PB")
-SEVEN_TERMS = ("NB", "NM", "NS", "Z", "PS", "PM", "PB")
+from controller.fuzzy.coverage import no_rule_fires, uncovered
+from controller.fuzzy.membership import (
+    RuleBaseError,
+    Trapezoid,
+    left_shoulder,
+    right_shoulder,
+    triangle,
+)
+from controller.fuzzy.variable import FIVE_TERMS, SEVEN_TERMS, Variable
 
-FUZZY_D_RULES = """
-          |  NB   NS   Z    PS   PB
-      ----+------------------------
-       NB |  NB   NB   NM   Z    PS
-       NS |  NB   NB   NS   PS   PM
-       Z  |  NB   NM   Z    PM   PB
-       PS |  NM   NS   PS   PB   PB
-       PB |  NS   Z    PM   PB   PB
-"""
-"""Rules of the SpeedT and Fuzzy-D controllers (Tables 1 and 2 of the Fuzzy-D paper, which are identical).
+__all__ = [
+    "FIVE_TERMS",
+    "NO_RULE",
+    "SEVEN_TERMS",
+    "CentreAverage",
+    "Conjunction",
+    "ContinuousCentroid",
+    "Defuzzification",
+    "DiscreteCentroid",
+    "RuleBase",
+    "RuleBaseError",
+    "Trapezoid",
+    "Variable",
+    "left_shoulder",
+    "parse_rules",
+    "right_shoulder",
+    "triangle",
+]
 
-Columns: speed error (reference minus measured). Rows: its rate of change. Cells: control.
-"""
+NO_RULE = "-"
+"""The cell of a rule table that has no rule."""
 
-
-class RuleBaseError(ValueError):
-    """A rule base is not complete or not well formed: names variable, term and value."""
-
-    exit_code = 2
+Conjunction = Literal["min", "product"]
 
 
 @dataclass(frozen=True)
-class Variable:
-    """A linguistic variable: its terms and their peaks, ascending, in `unit`."""
+class DiscreteCentroid:
+    """Sum of z m(z) over sum of m(z), over equally spaced points of the output universe (MATLAB: 101)."""
 
-    name: str
-    unit: str
-    terms: tuple[str, ...]
-    peaks: tuple[float, ...]
+    points: int = 101
 
-    def __post_init__(self) -> None:
-        if len(self.terms) != len(self.peaks) or len(self.terms) < 2:
-            raise RuleBaseError(
-                f"variable {self.name}: {len(self.terms)} terms but {len(self.peaks)} peaks; "
-                "give one peak for each of at least two terms"
-            )
-        if len(set(self.terms)) != len(self.terms):
-            raise RuleBaseError(f"variable {self.name}: a term is named twice in {', '.join(self.terms)}")
-        for term, peak in zip(self.terms, self.peaks, strict=True):
-            if not math.isfinite(peak):
-                raise RuleBaseError(f"variable {self.name}, term {term}: peak {peak} must be finite")
-        for k in range(1, len(self.peaks)):
-            if self.peaks[k] <= self.peaks[k - 1]:
-                raise RuleBaseError(
-                    f"variable {self.name}, term {self.terms[k]}: peak {self.peaks[k]:g} must be greater "
-                    f"than {self.peaks[k - 1]:g}, the peak of {self.terms[k - 1]}"
-                )
 
-    @classmethod
-    def symmetric(cls, name: str, unit: str, terms: Sequence[str], positive: Sequence[float]) -> Variable:
-        """A variable symmetric about zero, given the peaks of its positive terms, ascending."""
-        peaks = (*(-p for p in reversed(positive)), 0.0, *positive)
-        return cls(name, unit, tuple(terms), peaks)
+@dataclass(frozen=True)
+class ContinuousCentroid:
+    """Integral of z m(z) over integral of m(z), over the output universe, exact."""
 
-    def triangle(self, term: str) -> tuple[float, float, float]:
-        """Left foot, peak and right foot of a term; a half triangle at either end of the universe."""
-        k = self.terms.index(term)
-        last = len(self.peaks) - 1
-        return self.peaks[max(k - 1, 0)], self.peaks[k], self.peaks[min(k + 1, last)]
+
+@dataclass(frozen=True)
+class CentreAverage:
+    """Sum of strength times peak over sum of strengths: every rule counts by itself, shapes do not matter.
+
+    Also called height defuzzification. With product and a partition it is bilinear interpolation.
+    """
+
+
+Defuzzification = DiscreteCentroid | ContinuousCentroid | CentreAverage
 
 
 @dataclass(frozen=True)
 class RuleBase:
-    """`rules[rate term][error term]` names the output term; `points` is that of the discrete centroid."""
+    """`rules[rate term][error term]` names the output term, or is `NO_RULE`.
+
+    `unused` names terms that no rule uses (as "output.PM"); a term that is in no rule and not named there is
+    an error, and so is one that is named but used. RuleBaseError says which variable, term and value.
+    """
 
     error: Variable
     rate: Variable
     output: Variable
     rules: tuple[tuple[str, ...], ...]
-    points: int = 101
+    conjunction: Conjunction = "min"
+    defuzzification: Defuzzification = DiscreteCentroid()
+    unused: tuple[str, ...] = ()
     consequents: tuple[tuple[int, ...], ...] = field(init=False)
+    """As `rules`, by index of the output term; -1 is no rule."""
 
     def __post_init__(self) -> None:
-        if self.points < 3:
-            raise RuleBaseError(f"points: {self.points} must be at least 3")
-        for term in self.output.terms:
-            if not self._hit(*self.output.triangle(term)):
-                raise RuleBaseError(
-                    f"points: none of {self.points} falls under term {term} of {self.output.name}; take more"
-                )
+        if self.conjunction not in ("min", "product"):
+            raise RuleBaseError(f"conjunction: {self.conjunction!r} must be 'min' or 'product'")
+        self._check_table()
+        index = {term: k for k, term in enumerate(self.output.terms)} | {NO_RULE: -1}
+        object.__setattr__(self, "consequents", tuple(tuple(index[c] for c in row) for row in self.rules))
+        self._check_use()
+        self._check_coverage()
+        if isinstance(self.defuzzification, DiscreteCentroid):
+            self._check_points(self.defuzzification.points)
+        elif isinstance(self.defuzzification, ContinuousCentroid):
+            self._check_areas()
+
+    def sample(self) -> tuple[float, ...]:
+        """The points of the discrete centroid, equally spaced over the output universe; else none."""
+        if not isinstance(self.defuzzification, DiscreteCentroid):
+            return ()
+        low, high = self.output.low, self.output.high
+        step = (high - low) / (self.defuzzification.points - 1)
+        # The last sum may round to beyond the universe, where an upright edge has ended.
+        return tuple(min(low + n * step, high) for n in range(self.defuzzification.points))
+
+    def _check_table(self) -> None:
         if len(self.rules) != len(self.rate.terms):
             raise RuleBaseError(
                 f"rules: {len(self.rules)} rows for the {len(self.rate.terms)} terms of {self.rate.name}"
@@ -107,21 +121,69 @@ class RuleBase:
                     f"of {self.error.name}"
                 )
             for cell in row:
-                if cell not in self.output.terms:
+                if cell != NO_RULE and cell not in self.output.terms:
                     raise RuleBaseError(f"rules, row {term}: {cell} is no term of {self.output.name}")
-        index = {term: k for k, term in enumerate(self.output.terms)}
-        object.__setattr__(self, "consequents", tuple(tuple(index[c] for c in row) for row in self.rules))
 
-    def universe(self) -> tuple[float, ...]:
-        """The points of the discrete centroid, equally spaced from the first output peak to the last."""
-        first, last = self.output.peaks[0], self.output.peaks[-1]
-        step = (last - first) / (self.points - 1)
-        return tuple(first + n * step for n in range(self.points))
+    def _check_use(self) -> None:
+        used = {f"{self.output.name}.{cell}" for row in self.rules for cell in row}
+        for i, row in enumerate(self.consequents):
+            for j, cell in enumerate(row):
+                if cell >= 0:
+                    used |= {
+                        f"{self.rate.name}.{self.rate.terms[i]}",
+                        f"{self.error.name}.{self.error.terms[j]}",
+                    }
+        declared = {f"{v.name}.{term}" for v in (self.error, self.rate, self.output) for term in v.terms}
+        for term in self.unused:
+            if term not in declared - used:
+                raise RuleBaseError(f"unused: {term} is used by a rule, or is no term")
+        forgotten = sorted(declared - used - set(self.unused))
+        if forgotten:
+            raise RuleBaseError(
+                f"rules: none uses {', '.join(forgotten)}; use it in a rule, or name it in `unused`"
+            )
 
-    def _hit(self, left: float, peak: float, right: float) -> bool:
-        """Whether a point of the universe has a grade above zero under this triangle."""
-        at_end = peak in (left, right)
-        return at_end or any(left < z < right for z in self.universe())
+    def _check_coverage(self) -> None:
+        for variable in (self.error, self.rate):
+            hole = uncovered(variable)
+            if hole:
+                where = f"at {hole[0]:g}" if hole[0] == hole[1] else f"between {hole[0]:g} and {hole[1]:g}"
+                raise RuleBaseError(
+                    f"variable {variable.name}: no term covers it {where} {variable.unit}; "
+                    "let membership functions overlap there"
+                )
+        gap = no_rule_fires(self.error, self.rate, self.consequents)
+        if gap:
+            error, rate = gap
+            raise RuleBaseError(
+                f"rules: none fires for {self.error.name} between {error.start:g} and {error.end:g} "
+                f"{self.error.unit} with {self.rate.name} between {rate.start:g} and {rate.end:g} "
+                f"{self.rate.unit}; add one"
+            )
+
+    def _check_points(self, points: int) -> None:
+        if points < 3:
+            raise RuleBaseError(f"points: {points} must be at least 3")
+        for k in self._concluded():
+            if not any(self.output.shapes[k].grade(z) > 0.0 for z in self.sample()):
+                raise RuleBaseError(
+                    f"points: none of {points} falls under term {self.output.terms[k]} of "
+                    f"{self.output.name}; take more"
+                )
+
+    def _check_areas(self) -> None:
+        low, high = self.output.universe
+        for k in self._concluded():
+            left, _, _, right = self.output.shapes[k].corners
+            if not max(left, low) < min(right, high):
+                raise RuleBaseError(
+                    f"variable {self.output.name}, term {self.output.terms[k]}: no area between {low:g} and "
+                    f"{high:g}, so its centroid is undefined; widen it or the universe"
+                )
+
+    def _concluded(self) -> list[int]:
+        """Output terms that some rule concludes."""
+        return sorted({cell for row in self.consequents for cell in row if cell >= 0})
 
 
 def parse_rules(table: str, *, columns: Sequence[str], rows: Sequence[str]) -> tuple[tuple[str, ...], ...]:
@@ -137,19 +199,3 @@ def parse_rules(table: str, *, columns: Sequence[str], rows: Sequence[str]) -> t
     if heads != tuple(rows):
         raise RuleBaseError(f"rules: rows are {' '.join(heads)}, must be {' '.join(rows)}")
     return tuple(tuple(cells.split()) for _, cells in parts[1:])
-
-
-def fuzzy_d_rules(
-    error_peaks: Sequence[float],
-    rate_peaks: Sequence[float],
-    output_peaks: Sequence[float],
-    *,
-    output_unit: str = "m/s^2",
-) -> RuleBase:
-    """Rule base of the Fuzzy-D paper over symmetric sets, given the positive peaks (2, 2 and 3 of them)."""
-    return RuleBase(
-        error=Variable.symmetric("error", "m/s", FIVE_TERMS, error_peaks),
-        rate=Variable.symmetric("rate", "m/s^2", FIVE_TERMS, rate_peaks),
-        output=Variable.symmetric("output", output_unit, SEVEN_TERMS, output_peaks),
-        rules=parse_rules(FUZZY_D_RULES, columns=FIVE_TERMS, rows=FIVE_TERMS),
-    )

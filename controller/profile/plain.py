@@ -21,17 +21,13 @@ import numpy as np
 from numba import njit
 
 from controller.config import ProfileConfig
+from controller.profile.comfort import Comfort
 from controller.profile.plateau import with_plateaus
 from controller.profile.profile import Floats, ProfileError, SpeedProfile
 from hil.railway import Journey
 
-ACCELERATION_SHARE = 0.85
-BRAKING_SHARE = 0.62
-"""Shares of the train's own limits that a plan takes where the scenario gives no figures."""
 MESH_M = 1.0
 """Largest step of the position mesh; the effort of the drive changes little within it."""
-LIMIT_MARGIN_M = 2.0
-"""Further widening of limits: the smoothed run is displaced by up to `b T^2 / 24` against the sharp one."""
 TIME_TOLERANCE_S = 1e-3
 SPEED_STEP_MPS = 0.05
 """Step of the table of efforts over speed."""
@@ -40,7 +36,18 @@ SPEED_STEP_MPS = 0.05
 def plain_profile(
     journey: Journey, config: ProfileConfig, *, time_s: float | None = None, dwell_s: float = 0.0
 ) -> SpeedProfile:
-    """The plan that arrives after `time_s` (default: the journey's timetable), `dwell_s` of it standing.
+    """The plan with both averages; parameters and errors as of :func:`plain_sharp`."""
+    return Comfort.of(journey.train, config).smoothed(
+        plain_sharp(journey, config, time_s=time_s, dwell_s=dwell_s)
+    )
+
+
+def plain_sharp(
+    journey: Journey, config: ProfileConfig, *, time_s: float | None = None, dwell_s: float = 0.0
+) -> SpeedProfile:
+    """The sharp plan that, with its averages, arrives after `time_s`, `dwell_s` of it standing.
+
+    `time_s` is the journey's timetable by default.
 
     Raises ProfileError when that is shorter than :func:`fastest_time_s`, longer than the slowest plan, or
     when the train cannot climb or brake somewhere.
@@ -65,9 +72,9 @@ def plain_profile(
         middle = 0.5 * (low + high)
         duration = planner.duration_s(middle)
         if abs(duration - wanted) <= TIME_TOLERANCE_S:
-            return planner.profile(middle)
+            return planner.sharp(middle)
         low, high = (middle, high) if duration < wanted else (low, middle)
-    return planner.profile(0.5 * (low + high))
+    return planner.sharp(0.5 * (low + high))
 
 
 def fastest_time_s(journey: Journey, config: ProfileConfig) -> float:
@@ -92,11 +99,7 @@ class _Planner:
         train = journey.train
         self._journey = journey
         self._config = config
-        self._acceleration = config.acceleration_mps2 or ACCELERATION_SHARE * train.max_acceleration_mps2
-        self._braking = config.braking_mps2 or BRAKING_SHARE * train.max_braking_mps2
-        self._window_s = max(self._acceleration, self._braking) / (
-            config.jerk_mps3 or train.comfort_jerk_mps3
-        )
+        self._comfort = Comfort.of(train, config)
         self._mesh, self._limits = self._mesh_and_limits()
         middles = 0.5 * (self._mesh[1:] + self._mesh[:-1])
         track = np.array([journey.line.mean_specific_resistance(x, train.length_m) for x in middles])
@@ -112,14 +115,10 @@ class _Planner:
             config.brake_share * np.array([train.service_brake_effort_n(v) for v in speeds]) / mass
         )
         self._top_mps = top
-        self._top_mps = float(np.max(self._sharp(0.0).speed_mps))
+        self._top_mps = float(np.max(self.sharp(0.0).speed_mps))
 
     def duration_s(self, ease: float) -> float:
-        return self._sharp(ease).duration_s + self._window_s + self._config.smoothing_s
-
-    def profile(self, ease: float) -> SpeedProfile:
-        plan = self._sharp(ease).smoothed(self._window_s)
-        return plan.smoothed(self._config.smoothing_s) if self._config.smoothing_s > 0.0 else plan
+        return self.sharp(ease).duration_s + self._comfort.delay_s
 
     def _ease(self, ease: float) -> _Ease:
         top, share = self._top_mps, self._config.coasting_share
@@ -130,11 +129,10 @@ class _Planner:
         slower = top * max(0.1, 2.0 - ease)
         return _Ease(slower, slower * share)
 
-    def _sharp(self, ease: float) -> SpeedProfile:
+    def sharp(self, ease: float) -> SpeedProfile:
         """The run with steps in its acceleration."""
-        config = self._config
+        comfort = self._comfort
         chosen = self._ease(ease)
-        slow = config.stop_braking_mps2 * (config.stop_braking_s + 0.5 * self._window_s)
         ceiling = 0.5 * np.minimum(self._limits, chosen.top_mps) ** 2
         energy, fault, where = _sweep(
             self._mesh,
@@ -144,10 +142,10 @@ class _Planner:
             self._traction_mps2,
             self._brake_mps2,
             SPEED_STEP_MPS,
-            self._acceleration,
-            self._braking,
-            min(config.stop_braking_mps2, self._braking),
-            slow,
+            comfort.acceleration_mps2,
+            comfort.braking_mps2,
+            comfort.stop_braking_mps2,
+            comfort.slow_mps,
             chosen.brake_below_mps,
         )
         if fault:
@@ -156,16 +154,16 @@ class _Planner:
                 f"the train cannot {what} at {self._mesh[where]:.0f} m with the shares of its effort that "
                 "[controller.profile] allows"
             )
-        speed = with_plateaus(self._mesh, np.sqrt(2.0 * energy), self._window_s)
-        return SpeedProfile.from_speeds(self._mesh, speed)
+        mesh, speed = with_plateaus(
+            self._mesh, np.sqrt(2.0 * energy), comfort.window_s, comfort.largest_step_mps2
+        )
+        return SpeedProfile.from_speeds(mesh, speed)
 
     def _mesh_and_limits(self) -> tuple[Floats, Floats]:
         """Mesh nodes, and the limit at each, widened for the smoothing; standstill at both ends."""
-        journey, margin = self._journey, self._config.speed_margin_mps
+        journey = self._journey
         start, end = journey.origin.position_m, journey.destination.position_m
-        edges, values = journey.line.speed_limit_profile(journey.train.length_m)
-        wider = 0.5 * (self._window_s + self._config.smoothing_s) * values + LIMIT_MARGIN_M
-        limits = list(zip(edges[:-1] - wider, edges[1:] + wider, values, strict=True))
+        limits = list(zip(*self._comfort.widened_limits(journey.line, journey.train), strict=True))
         places = {start, end}
         for left, right, _ in limits:
             places |= {p for p in (left, right) if start < p < end}
@@ -178,21 +176,21 @@ class _Planner:
             ]
             + [np.array([end])]
         )
-        mesh = _refined_ends(mesh)
+        mesh = _refined_ends(mesh, end - self._comfort.tail_m)
         limit = np.full(len(mesh), np.inf)
         for left, right, v in limits:
             inside = (mesh >= left) & (mesh <= right)
-            limit[inside] = np.minimum(limit[inside], max(v - margin, 0.5))
+            limit[inside] = np.minimum(limit[inside], v)
         if not np.all(np.isfinite(limit)):
-            limit[~np.isfinite(limit)] = float(values.min()) - margin
+            limit[~np.isfinite(limit)] = min(float(v) for _, _, v in limits)
         limit[0] = limit[-1] = 0.0
         return mesh, limit
 
 
-def _refined_ends(mesh: Floats) -> Floats:
-    """Finer steps in the first and the last two metres, where the deceleration changes at low speed."""
+def _refined_ends(mesh: Floats, tail_m: float) -> Floats:
+    """Finer steps in the first and last metre, where the speed is low, and a node at the soft stop."""
     fine = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.75])
-    return np.unique(np.concatenate((mesh, mesh[0] + fine, mesh[-1] - fine)))
+    return np.unique(np.concatenate((mesh, mesh[0] + fine, mesh[-1] - fine, [tail_m])))
 
 
 _CANNOT_CLIMB = 1

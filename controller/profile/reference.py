@@ -11,9 +11,9 @@ friction brake takes over from the motors, and its dead time and lag with it.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import ceil, floor, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -36,9 +36,62 @@ class Delay(NamedTuple):
         return self.dead_time_s + self.lag_s
 
 
+class Columns(NamedTuple):
+    """What a table consists of: numbers and four columns over the plan's clock, lists or memory views.
+
+    `position_m`, `speed_mps` and `acceleration_mps2` every `step_s` from 0; `preview_mps2` begins `ahead`
+    steps sooner. While the train stands the clock leads until `start_s`.
+    """
+
+    step_s: float
+    ahead: int
+    start_s: float
+    braking_from_s: float
+    position_m: Sequence[float]
+    speed_mps: Sequence[float]
+    acceleration_mps2: Sequence[float]
+    preview_mps2: Sequence[float]
+
+
+def columns_of(
+    profile: SpeedProfile,
+    *,
+    drive: Delay,
+    friction: Delay | None = None,
+    friction_share: Callable[[float], float] = lambda _: 0.0,
+    start_s: float = 4.0,
+) -> Columns:
+    """Columns of a profile; parameters as of :class:`ReferenceTable`."""
+    braking_from_s = _last_braking_s(profile)
+    count = max(2, round(profile.duration_s / STEP_S))
+    step_s = profile.duration_s / count
+    time = np.linspace(0.0, profile.duration_s, count + 1)
+    position, speed = _resampled(profile, time)
+    ahead = ceil(drive.total_s / step_s)
+    early: Floats = step_s * np.arange(-ahead, count + 1, dtype=np.float64)
+    preview = _preview(profile, early, drive)
+    if friction is not None:
+        shares = [friction_share(float(v)) for v in profile.speed_mps]
+        share = np.interp(early + drive.total_s, profile.time_s, shares)
+        braking = np.interp(early + drive.total_s, profile.time_s, profile.acceleration_mps2) < 0.0
+        share = np.where(braking & (early >= braking_from_s), share, 0.0)
+        preview = (1.0 - share) * preview + share * _preview(profile, early, friction)
+    return Columns(
+        step_s=step_s,
+        ahead=ahead,
+        start_s=min(start_s, 0.25 * profile.duration_s),
+        braking_from_s=braking_from_s,
+        position_m=position.tolist(),
+        speed_mps=speed.tolist(),
+        acceleration_mps2=np.interp(time, profile.time_s, profile.acceleration_mps2).tolist(),
+        preview_mps2=preview.tolist(),
+    )
+
+
 class ReferenceTable:
     """Looks a profile up by position, in a few microseconds and without state.
 
+    `duration_s` is that of the profile, `stop_m` its end; from `braking_from_s` on it brakes to the stop.
     `drive` undoes the drive's delay, `friction` that of the friction brake, which does the share
     `friction_share(speed)` of the braking; `start_s`: how long the clock leads.
     """
@@ -52,28 +105,36 @@ class ReferenceTable:
         friction_share: Callable[[float], float] = lambda _: 0.0,
         start_s: float = 4.0,
     ) -> None:
-        self.profile = profile
-        self.braking_from_s = _last_braking_s(profile)
-        self.stop_m = profile.end_m
-        count = max(2, round(profile.duration_s / STEP_S))
-        self._step_s = profile.duration_s / count
-        time = np.linspace(0.0, profile.duration_s, count + 1)
-        position, speed = _resampled(profile, time)
-        self._position = position.tolist()
-        self._speed = speed.tolist()
-        self._acceleration = np.interp(time, profile.time_s, profile.acceleration_mps2).tolist()
-        self._last = count
-        self._ahead = ceil(drive.total_s / self._step_s)
-        early: Floats = self._step_s * np.arange(-self._ahead, count + 1, dtype=np.float64)
-        preview = _preview(profile, early, drive)
-        if friction is not None:
-            shares = [friction_share(float(v)) for v in profile.speed_mps]
-            share = np.interp(early + drive.total_s, profile.time_s, shares)
-            braking = np.interp(early + drive.total_s, profile.time_s, profile.acceleration_mps2) < 0.0
-            share = np.where(braking & (early >= self.braking_from_s), share, 0.0)
-            preview = (1.0 - share) * preview + share * _preview(profile, early, friction)
-        self._preview = preview.tolist()
-        self._start_s = min(start_s, 0.25 * profile.duration_s)
+        self._take(
+            columns_of(
+                profile, drive=drive, friction=friction, friction_share=friction_share, start_s=start_s
+            )
+        )
+
+    @classmethod
+    def of_columns(cls, columns: Columns) -> Self:
+        """A table over columns that exist already; nothing is copied."""
+        table = cls.__new__(cls)
+        table._take(columns)
+        return table
+
+    def _take(self, columns: Columns) -> None:
+        self._step_s = columns.step_s
+        self._ahead = columns.ahead
+        self._start_s = columns.start_s
+        self.braking_from_s = columns.braking_from_s
+        self._position = columns.position_m
+        self._speed = columns.speed_mps
+        self._acceleration = columns.acceleration_mps2
+        self._preview = columns.preview_mps2
+        self._last = len(columns.position_m) - 1
+        self.duration_s = self._last * self._step_s
+        self.stop_m = float(columns.position_m[self._last])
+
+    @property
+    def rows(self) -> int:
+        """Length of its longest column."""
+        return len(self._preview)
 
     def plan_time_s(self, position_m: float, since_departure_s: float) -> float:
         """Where on the plan's clock the train is [s]; before departure, how long until then (negative)."""

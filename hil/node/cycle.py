@@ -106,6 +106,7 @@ class Node:
         self.statistics = CycleStatistics()
         self._monotonic = monotonic
         self._real_time = clock.kind == "realtime"
+        self._between_cycles = getattr(unit, "between_cycles", None) if not self._real_time else None
         self._startup_cycles = -(-self.overload.startup_ns // unit.period_ns)
         window = max(1, TIMING_WINDOW_NS // unit.period_ns)
         self._latencies = [0] * window
@@ -146,6 +147,8 @@ class Node:
             self._judge(missed, start.woke_ns - start.scheduled_ns, sent_ns - start.woke_ns)
         else:
             statistics.cycles += 1
+            if self._between_cycles is not None:
+                self._between_cycles()
         return True
 
     def run(self, should_stop: Callable[[], bool] = never) -> None:

@@ -13,12 +13,35 @@ from hil.canbus.contract import Contract, ContractError, MessageCodec
 from hil.canbus.protection import Protector
 from hil.node.inbox import bus_identifier
 
-__all__ = ["Outbox"]
+__all__ = ["Outbox", "check_period"]
 
 # NMT states of the heartbeat, CiA 301.
 BOOT_UP, STOPPED, OPERATIONAL = 0, 4, 5
 
 _by_can_id = itemgetter(0)
+
+
+def check_period(
+    contract: Contract, nodes: Iterable[str], period_ns: int, every_cycle: Iterable[str] = ()
+) -> None:
+    """Raise ContractError if a unit of this period leaves a cyclic message silent for too long."""
+    always = frozenset(every_cycle)
+    for codec in (codec for node in nodes for codec in contract.sent_by(node)):
+        if codec.cycle_ns is None or codec.timeout_ns is None:
+            continue
+        interval_ns = period_ns * _every(codec, period_ns, always)
+        if interval_ns >= codec.timeout_ns:
+            raise ContractError(
+                f"{period_ns * 1e-9:g} lets {codec.name} be sent every {interval_ns * 1e-6:g} ms, but its "
+                f"receivers take {codec.timeout_ns * 1e-6:g} ms of silence for a fault; shorten it"
+            )
+
+
+def _every(codec: MessageCodec, period_ns: int, always: frozenset[str]) -> int:
+    """In every how many-th cycle a message goes out."""
+    if codec.cycle_ns is None or codec.name in always:
+        return 1
+    return max(1, round(codec.cycle_ns / period_ns))
 
 
 class _Slot:
@@ -71,8 +94,7 @@ class Outbox:
         self._heartbeats: list[_Slot] = []
         codecs = (codec for node in nodes for codec in contract.sent_by(node))
         for codec in sorted(codecs, key=lambda codec: codec.can_id):
-            always = codec.cycle_ns is None or codec.name in every_cycle
-            slot = _Slot(codec, 1 if always else max(1, round((codec.cycle_ns or 0) / period_ns)))
+            slot = _Slot(codec, _every(codec, period_ns, every_cycle))
             if codec.name in heartbeats:
                 self._heartbeats.append(slot)
                 slot.values = {"NmtState": BOOT_UP}

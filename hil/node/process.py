@@ -97,6 +97,8 @@ class NodeProcess:
         identifiers = receive_ids(unit, contract, options.clock)
         warm_up(unit, contract)
         try:
+            if options.clock == "realtime":
+                self._start_helper(unit)
             self.transport = self._resources.enter_context(
                 Transport.open(options.bus, name=self.name, receive=identifiers)
             )
@@ -125,6 +127,14 @@ class NodeProcess:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._resources.close()
+
+    def _start_helper(self, unit: Unit) -> None:
+        """Start the unit's own helper, if it has one, before this process has real-time rights to inherit."""
+        start: Callable[[], None] | None = getattr(unit, "start_helper", None)
+        close: Callable[[], None] | None = getattr(unit, "close", None)
+        if start is not None and close is not None:
+            start()
+            self._resources.callback(close)
 
     def ready(self) -> None:
         """Get the rights, say in the status file that the first cycle comes next."""

@@ -30,7 +30,9 @@ class Unit(Protocol):
 
     `nodes` are the DBC nodes the unit plays; the first one acknowledges SYNC. `after` names the SyncDone
     messages that the unit waits for in lockstep. A unit may also have `every_cycle: tuple[str, ...]`:
-    cyclic messages that go out in each of its cycles, whatever cycle time the DBC gives.
+    cyclic messages that go out in each of its cycles, whatever cycle time the DBC gives. And it may have
+    `between_cycles()`, called in lockstep after each cycle, outside what is timed, and `start_helper()` with
+    `close()` around it in real time: work that a cycle has no time for.
     """
 
     @property

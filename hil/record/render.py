@@ -91,7 +91,7 @@ def _tabs(document: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
 
 
 def _name(document: Mapping[str, Any], content: str) -> str:
-    node = document.get(f"/{content}", {})
+    node = document.get(content if content.startswith("/") else f"/{content}", {})
     for part in ("ContainerBlueprint", "ViewBlueprint"):
         if "display_name" in node.get(part, {}):
             return str(node[part]["display_name"])

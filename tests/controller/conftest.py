@@ -55,13 +55,14 @@ class Bus:
 
     def __init__(self) -> None:
         self.messages = {
-            "TCU_Status": Message(State=1),
-            "BCU_Status": Message(State=1),
+            "TCU_Status": Message(State=1, TractiveEffort=0.0),
+            "BCU_Status": Message(State=1, PneumaticEffort=0.0),
             "ODO_Motion": Message(Valid=1, Standstill=1, Slip=0, Slide=0, Speed=0.0, Position=0.0),
             "ODO_Balise": Message(Number=0, Position=0.0),
             "ATP_Permission": Message(
                 DoorsClosed=1, DepartureAuthorised=1, EmergencyStop=0, PermittedSpeed=30.0
             ),
+            "ATP_Restriction": Message(Number=0, Start=0.0, Length=0.0, Limit=0.0),
         }
         self.timing = CycleTiming()
         self.sent: dict[str, Mapping[str, float]] = {}
@@ -211,6 +212,9 @@ class Loop:
             motion.values["Speed"] = round(self.speed_mps / SPEED_STEP_MPS) * SPEED_STEP_MPS
             motion.values["Position"] = round(self.position_m, 3)
             motion.values["Standstill"] = int(self.speed_mps == 0.0)
+        mass = self.journey.train.effective_mass_kg
+        self.bus["TCU_Status"].values["TractiveEffort"] = self._drive_mps2 * mass
+        self.bus["BCU_Status"].values["PneumaticEffort"] = self._friction_mps2 * mass
         line, train = self.journey.line, self.journey.train
         if self.cycle % 10 == 0:
             limit = line.speed_limit_mps(self.position_m, train.length_m)

@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from controller.config import ControllerConfig
-from controller.fuzzy.rulebase import fuzzy_d_rules
+from controller.fuzzy.bases import fuzzy_d_rules
 from controller.laws.selection import LAWS
 from hil.railway import RailwayDataError
 
@@ -18,9 +18,9 @@ def test_everything_has_a_default(scenario_file):
     [
         ("[controller]\nperiod_s = 0", "controller.period_s: 0 must be greater than 0"),
         ("[controller]\nperiod_s = nan", "controller.period_s: nan must be a finite number"),
-        ("[controller]\nlaw = 'lqr'", "controller.law: 'lqr' must be 'fuzzy_d' or 'pid'"),
+        ("[controller]\nlaw = 'lqr'", "controller.law: 'lqr' must be 'fuzzy_d', 'pid'"),
         ("[controller]\nperiode_s = 0.01", "controller.periode_s: unknown key; did you mean period_s?"),
-        ("[controller]\nlaw = 3", "controller.law: 3 must be 'fuzzy_d' or 'pid'"),
+        ("[controller]\nlaw = 3", "controller.law: 3 must be 'fuzzy_d', 'pid'"),
         ("[controller.pid]\nkp_per_s = -1.0", "controller.pid.kp_per_s: -1.0 must be at least 0"),
         ("[controller.pid]\nkp_per_s = '2'", "controller.pid.kp_per_s: '2' must be a number"),
         ("[controller.fuzzy_d]\nerror_peaks_mps = [1.0, 0.5]", "error_peaks_mps [1.0, 0.5] must ascend"),
@@ -67,7 +67,7 @@ def test_the_defaults_of_the_laws_are_stated_once():
 
 
 def test_valid_fuzzy_peaks_make_a_valid_rule_base():
-    p = ControllerConfig().fuzzy_d
+    p = ControllerConfig().fuzzy_d.parameters()
     fuzzy_d_rules(p.error_peaks_mps, p.rate_peaks_mps2, p.output_peaks_mps2)
 
 

@@ -270,3 +270,45 @@ def test_every_state_has_an_error_code_of_the_bus_contract(contract):
     signals = {signal.name: signal for signal in contract.message("ATO_Emergency").signals}
     assert set(ERROR_CODES) == set(Supervision)
     assert set(ERROR_CODES.values()) <= set(signals["ErrorCode"].choices.values())
+
+
+def test_a_position_that_the_speed_does_not_explain_is_not_believed():
+    watch = Watch(position_m=100.0)
+    assert watch.see(position_m=114.0) == (Supervision.NORMAL, Reaction.NONE)  # a balise may correct so much
+    assert watch.see(position_m=130.0) == (Supervision.ODOMETRY_INVALID, Reaction.SERVICE_BRAKE)
+    assert watch.see(49)[0] is Supervision.ODOMETRY_INVALID
+    assert watch.see(2)[0] is Supervision.NORMAL
+
+
+@pytest.mark.parametrize("how", ["silent", "invalid", "missed"])
+def test_the_way_made_in_the_dark_is_plausible(how):
+    """Two seconds without odometry, or of own missed cycles, at 10 m/s are 20 m."""
+    watch = Watch(position_m=100.0)
+    if how == "silent":
+        watch.see(200, odometry_fresh=False)
+    elif how == "invalid":
+        watch.see(200, odometry_valid=False)
+    missed = 200 if how == "missed" else 0
+    watch.seen = replace(watch.seen, driving=how == "silent")
+    hold_before = watch.supervisor._odometry_bad_cycles
+    watch.see(odometry_fresh=True, odometry_valid=True, position_m=120.0, deadline_misses=missed)
+    assert watch.supervisor._odometry_bad_cycles == hold_before
+
+
+def test_a_balise_from_far_away_speaks_against_the_odometry():
+    watch = Watch()
+    assert watch.see(balise_far=True)[0] is Supervision.ODOMETRY_INVALID
+    assert watch.see(60, balise_far=False)[0] is Supervision.NORMAL
+
+
+def test_an_overrun_that_implausible_odometry_claims_does_not_latch():
+    watch = Watch(position_m=100.0, distance_to_stop_m=50.0)
+    assert watch.see(position_m=160.0, distance_to_stop_m=-10.0)[0] is Supervision.ODOMETRY_INVALID
+    watch.see(position_m=100.0, distance_to_stop_m=50.0)
+    assert watch.see(60)[0] is Supervision.NORMAL
+
+
+@pytest.mark.parametrize("overrun_m", [1.5, 6.0])
+def test_an_overrun_stays_when_the_odometry_is_good(overrun_m):
+    watch = Watch(distance_to_stop_m=-overrun_m, speed_mps=0.5)
+    assert watch.see(500)[0] is Supervision.STOP_OVERRUN

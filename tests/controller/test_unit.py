@@ -21,12 +21,16 @@ from hil.railway import RailwayDataError
 
 PERIOD_NS = 10_000_000
 SERVICE_BRAKE = -0.8
+BALISES = [(101, 5.0), (102, 150.0), (103, 400.0)]
 
 
 @pytest.fixture
 def unit(contract, journeys, configs):
     name = "cat_linh_la_thanh"
-    return ControllerUnit(journeys[name], configs[name], plan(journeys[name], configs[name]), contract)
+    first = plan(journeys[name], configs[name])
+    unit = ControllerUnit(journeys[name], configs[name], first, contract)
+    unit.first = first
+    return unit
 
 
 class Drive:
@@ -42,14 +46,19 @@ class Drive:
         return self.bus.command
 
     def motion(self, speed, position):
-        """Bring speed and position there without a jump."""
-        values = self.bus["ODO_Motion"].values
+        """Bring speed and position there without a jump; balises on the way are read."""
+        values, balise = self.bus["ODO_Motion"].values, self.bus["ODO_Balise"]
         values["Standstill"] = int(speed == 0.0)
-        values["Position"] = position
-        start = values["Speed"]
-        for value in np.linspace(start, speed, 2 + int(abs(speed - start) / 0.05)):
-            values["Speed"] = float(value)
+        start, at = values["Speed"], values["Position"]
+        steps = 2 + int(max(abs(speed - start) / 0.05, abs(position - at) / 10.0))
+        for value, place in zip(
+            np.linspace(start, speed, steps), np.linspace(at, position, steps), strict=True
+        ):
+            passed = [b for b in BALISES if values["Position"] < b[1] <= place]
+            balise.events.extend({"Number": number, "Position": where} for number, where in passed)
+            values.update(Speed=float(value), Position=float(place))
             self()
+            balise.events.clear()
 
 
 @pytest.fixture
@@ -61,11 +70,9 @@ def drive(unit, bus):
 def running(drive):
     """In RUN at 10 m/s, where the plan is at about that speed."""
     drive(3)
-    table = drive.unit._reference_table
+    table = drive.unit.timetable.table
     position = next(float(x) for x in range(1, 400) if table.at(float(x), 1e3).speed_mps > 10.0)
-    drive.bus["ODO_Balise"].events.append({"Number": 101, "Position": 5.0})
     drive.motion(10.0, position)
-    drive.bus["ODO_Balise"].events.clear()
     drive(200)
     assert drive.unit.mode is Mode.RUN
     assert drive.unit.supervisor.state is Supervision.NORMAL
@@ -227,8 +234,10 @@ def test_rolling_back_at_departure_is_an_emergency(drive):
 
 
 def test_a_missed_balise_is_reported_and_the_law_drives_on(running):
-    running.bus["ODO_Motion"].values["Position"] = 166.0
-    command = running()
+    motion = running.bus["ODO_Motion"].values
+    while motion["Position"] < 166.0:
+        motion["Position"] += 10.0
+        command = running()
     assert running.unit.supervisor.state is Supervision.BALISE_MISSED
     assert command["Mode"] == Mode.RUN
 
@@ -296,7 +305,7 @@ def test_a_train_left_standing_gets_the_holding_brake(drive):
 
 def test_warming_up_leaves_no_trace(unit, bus, contract, journeys, configs):
     name = "cat_linh_la_thanh"
-    cold = ControllerUnit(journeys[name], configs[name], unit.profile, contract)
+    cold = ControllerUnit(journeys[name], configs[name], unit.first, contract)
     unit.warm_up()
     for made in (unit, cold):
         drive = Drive(made, bus)
@@ -390,4 +399,62 @@ def test_a_controller_period_other_than_the_plants_still_plans_the_same(journeys
     name = "fuzzy_d_2km"
     other = configs[name].model_copy(update={"period_s": 0.001})
     one, two = plan(journeys[name], configs[name]), plan(replace(journeys[name]), other)
-    np.testing.assert_array_equal(one.speed_mps, two.speed_mps)
+    np.testing.assert_array_equal(one.profile.speed_mps, two.profile.speed_mps)
+
+
+@pytest.mark.parametrize("overrun_m", [1.5, 6.0])
+def test_a_train_past_its_stop_stays_degraded(running, overrun_m):
+    """It is no arrival: the mode stays DEGRADED at standstill, and the overrun stays reported."""
+    stop = running.unit.first.profile.end_m
+    running.motion(5.0, stop - 2.0)
+    running.motion(1.0, stop + overrun_m)
+    running.motion(0.0, stop + overrun_m)
+    running(500)
+    assert running.unit.mode is Mode.DEGRADED
+    assert running.unit.supervisor.state is Supervision.STOP_OVERRUN
+    assert running.bus.command["HoldingBrake"]
+    assert running.bus.command["EffortDemand"] == SERVICE_BRAKE
+
+
+def test_a_train_that_seems_to_jump_is_braked_and_its_balises_are_not_counted(running):
+    motion = running.bus["ODO_Motion"].values
+    motion["Position"] += 200.0
+    command = running()
+    assert running.unit.supervisor.state is Supervision.ODOMETRY_INVALID
+    assert command["EffortDemand"] == SERVICE_BRAKE
+
+
+def test_a_telegram_from_where_the_train_is_not_is_not_taken(running):
+    running.bus["ODO_Balise"].events.append({"Number": 107, "Position": 926.0})
+    running()
+    running.bus["ODO_Balise"].events.clear()
+    assert running.unit.supervisor.state is Supervision.ODOMETRY_INVALID
+    running(60)
+    assert running.unit.supervisor.state is Supervision.NORMAL  # balise 107 has not been passed
+
+
+def test_the_reference_position_is_the_schedules_and_the_stop_in_hold(loop):
+    driven = loop("cat_linh_la_thanh")
+    seen = []
+
+    def note(each):
+        seen.append(each.bus.sent.get("ATO_Position", {}).get("ReferencePosition"))
+
+    driven.run(110.0, each=note)
+    unit = driven.unit
+    table = unit.timetable.table
+    at_s = 40.0
+    since = at_s - 0.01 - (unit.timetable._zero_ns * 1e-9)
+    assert seen[round(at_s / 0.01)] == pytest.approx(table.position_at(since), abs=0.05)
+    assert seen[-1] == driven.journey.destination.position_m
+
+
+@pytest.mark.parametrize("period_s", [0.05, 0.1])
+def test_a_period_that_lets_the_command_time_out_is_bad_input(scenario_file, contract, period_s):
+    path = scenario_file(f"[controller]\nperiod_s = {period_s}\n")
+    with pytest.raises(RailwayDataError) as error:
+        build(path, contract)
+    assert str(error.value).startswith(f"{path}: controller.period_s: {period_s:g} ")
+    assert "ATO_Command" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert error.value.exit_code == 2

@@ -19,7 +19,10 @@ SIGNALS = [
     for message in DATABASE.messages
     for signal in message.signals
 ]
-PROTECTED = ("ATO_Command", "TCU_Status", "BCU_Status", "ODO_Motion", "ODO_Balise", "ATP_Permission")
+PROTECTED = (
+    "ATO_Command", "TCU_Status", "BCU_Status", "ODO_Motion", "ODO_Balise",
+    "ATP_Permission", "ATP_Restriction",
+)  # fmt: skip
 
 # function codes of CANopen's predefined connection set (CiA 301, 7.3.5) that a node may send on, and
 # 0x680, which CiA 301 neither uses nor restricts
@@ -97,7 +100,15 @@ def test_receivers_are_those_that_evaluate_the_message():
         node: {name for name, codec in CONTRACT.messages.items() if node in codec.receivers}
         for node in CONTRACT.nodes
     }
-    inputs = {"TCU_Status", "BCU_Status", "ODO_Motion", "ODO_Balise", "ATP_Permission", "SYNC"}
+    inputs = {
+        "TCU_Status",
+        "BCU_Status",
+        "ODO_Motion",
+        "ODO_Balise",
+        "ATP_Permission",
+        "ATP_Restriction",
+        "SYNC",
+    }
     assert received["ATO"] == inputs
     assert received["TCU"] == {"ATO_Command", "SYNC", "ATO_SyncDone"}
     assert received["BCU"] == {"ATO_Command"}

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from hil.railway import Journey, Line, Stop, Train, load_line, load_train
 from hil.railway.library import find_line, find_train
-from plant_sim.atp import READY, Protection
-from plant_sim.config import AtpTable
+from plant_sim.atp import READY, Protection, restriction_message
+from plant_sim.config import AtpTable, RestrictionTable
 
 LINE = load_line(find_line("fuzzy_d_2km"))
 TRAIN = load_train(find_train("urban_4car_80m"))
@@ -122,3 +122,54 @@ def test_rolling_back_too_fast_is_stopped_too(level: Line, urban: Train) -> None
     protection = Protection(journey, AtpTable(emergency_margin_mps=0.5), 80.0)
     protection.update(1.0, 100.0, -4.0, 2)
     assert protection.emergency_stop
+
+
+def restricted(**changes: float) -> Protection:
+    table = {"start_m": 600.0, "end_m": 700.0, "limit_kmh": 30.0, "from_s": 5.0} | changes
+    return Protection(JOURNEY, AtpTable(restrictions=(RestrictionTable(**table),)), TRAIN.length_m)
+
+
+def test_a_restriction_counts_from_its_announcement_on_until_the_rear_has_left_it() -> None:
+    protection = restricted()
+    protection.update(4.99, 650.0, 0.0, READY)
+    assert protection.permitted_speed_mps == pytest.approx(15.0)
+    protection.update(5.0, 650.0, 0.0, READY)
+    assert protection.permitted_speed_mps == pytest.approx(30.0 / 3.6)
+    for front_m, limit_mps in ((700.0 + TRAIN.length_m - 0.1, 30.0 / 3.6), (700.1 + TRAIN.length_m, 15.0)):
+        protection.update(6.0, front_m, 0.0, READY)
+        assert protection.permitted_speed_mps == pytest.approx(limit_mps)
+
+
+def test_before_a_restriction_the_braking_curve_holds_and_it_is_the_target() -> None:
+    protection = restricted()
+    protection.update(5.0, 570.0, 0.0, READY)
+    braking = AtpTable().braking_factor * TRAIN.max_braking_mps2
+    assert protection.permitted_speed_mps == pytest.approx(sqrt((30.0 / 3.6) ** 2 + 2.0 * braking * 30.0))
+    assert (protection.target_speed_mps, protection.target_distance_m) == pytest.approx((30.0 / 3.6, 30.0))
+
+
+def test_a_restriction_is_told_at_once_and_every_second() -> None:
+    protection = restricted()
+    told = []
+    for tick in range(900):
+        protection.update(tick * 0.01, 0.0, 0.0, READY)
+        told += [tick] * len(protection.announcements)
+    assert told == [500, 600, 700, 800]
+
+
+@given(st.floats(-1000.0, 30_000.0), st.floats(0.1, 30_000.0), st.floats(5.0, 255.0))
+def test_what_is_told_is_at_least_the_section_and_at_most_the_limit(
+    start_m: float, length_m: float, limit_kmh: float
+) -> None:
+    table = RestrictionTable(start_m=start_m, end_m=start_m + length_m, limit_kmh=limit_kmh)
+    told = restriction_message(3, table)
+    assert told["Number"] == 3
+    assert told["Start"] <= start_m + 1e-6
+    assert told["Start"] + told["Length"] >= table.end_m - 1e-6
+    assert told["Limit"] <= limit_kmh / 3.6 + 1e-9
+    assert told["Limit"] >= (limit_kmh - 1.001) / 3.6
+
+
+def test_a_restriction_that_ends_before_it_begins_is_an_error() -> None:
+    with pytest.raises(ValueError, match="must be greater than start_m"):
+        RestrictionTable(start_m=10.0, end_m=10.0, limit_kmh=30.0)

@@ -47,6 +47,12 @@ def test_values_are_read_from_all_tables(tmp_path: Path) -> None:
             "[plant.odometry]\nmissed_balise_probability = 1.5",
             ("missed_balise_probability", "1.5", "at most 1"),
         ),
+        ("[plant.disturbance]\namplitude_mps2 = -0.1", ("plant.disturbance.amplitude_mps2", "-0.1", "0")),
+        ("[plant.disturbance]\nfrequency_hz = 1.0", ("plant.disturbance.frequency_hz", "unknown key")),
+        (
+            "[plant.train]\nfriction_brake_factor = 0.0",
+            ("plant.train.friction_brake_factor", "0.0", "greater"),
+        ),
         ("[plant.atp]\nbraking_factor = nan", ("plant.atp.braking_factor", "nan")),
         ("[plant.command]\nlost_brake = 'none'", ("plant.command.lost_brake", "none", "service")),
     ],

@@ -12,7 +12,7 @@ import pytest
 from hil.railway import Line, Train
 from plant_sim.compiled import KernelDynamics
 from plant_sim.dynamics import Dynamics, Orders
-from plant_sim.vehicle import Deviations, Vehicle, at_the_rail
+from plant_sim.vehicle import Deviations, Disturbance, Vehicle, at_the_rail
 
 COAST = Orders(0.0, True, 0.0, False)
 
@@ -171,15 +171,17 @@ def test_point_mass_feels_the_gradient_under_its_front_alone(ideal: Train, paper
     assert train.advance(COAST, 1).resistance_n == pytest.approx(3.0 * weight_n)  # half of it is on the climb
 
 
-DEVIATED = Deviations(1.15, 0.9, 1.1, 1.2, 1.3, 0.5, 0.35)
+DEVIATED = Deviations(1.15, 0.9, 1.1, 1.2, 1.3, 0.5, 0.35, 1.3, 0.85, 0.7)
+GUSTS = Disturbance(0.1, 1.3, 0.4)
 
 
 @pytest.mark.parametrize("point_mass", [False, True])
+@pytest.mark.parametrize("disturbance", [Disturbance(), GUSTS])
 @pytest.mark.parametrize("deviations", [Deviations(), DEVIATED])
 def test_kernel_equals_the_readable_version(
-    cat_linh: Train, cat_linh_line: Line, deviations: Deviations, point_mass: bool
+    cat_linh: Train, cat_linh_line: Line, deviations: Deviations, disturbance: Disturbance, point_mass: bool
 ) -> None:
-    sticky = Vehicle(cat_linh, cat_linh_line, deviations, point_mass)
+    sticky = Vehicle(cat_linh, cat_linh_line, deviations, point_mass, disturbance)
     kernel = KernelDynamics(sticky, 480.0, 1e-3, 70_000.0)
     readable = Dynamics(sticky, 480.0, 1e-3, 70_000.0)
     for orders, substeps in (
@@ -192,7 +194,8 @@ def test_kernel_equals_the_readable_version(
     ):
         motion = kernel.advance(orders, substeps)
         forces = readable.advance(orders, substeps)
-        assert motion[:10] == pytest.approx(astuple(readable.state), rel=1e-12, abs=1e-12)
+        state = (*motion[:10], motion.time_s)
+        assert state == pytest.approx(astuple(readable.state), rel=1e-12, abs=1e-12)
         assert motion.acceleration_mps2 == pytest.approx(forces.acceleration_mps2, rel=1e-12, abs=1e-12)
         assert motion[11:15] == pytest.approx((*forces.wheel[:3], forces.resistance_n), rel=1e-12, abs=1e-9)
         assert (bool(motion.slips), bool(motion.slides)) == (forces.wheel.slips, forces.wheel.slides)
@@ -229,3 +232,74 @@ def test_a_brake_released_long_ago_does_not_slide(ideal: Train, level: Line, rem
     coasting = KernelDynamics(vehicle, 0.0, 0.001, remaining_n)
     coasting.advance(COAST, 10)
     assert not coasting.motion.slides
+
+
+def test_a_disturbance_moves_a_free_train_by_its_double_integral(ideal: Train, level: Line) -> None:
+    amplitude, frequency, phase = 0.1, 0.7, 0.5
+    vehicle = Vehicle(ideal, level, disturbance=Disturbance(amplitude, frequency, phase))
+    dynamics = KernelDynamics(vehicle, 0.0, 1e-3, 0.0)
+    dynamics.advance(Orders(0.2, True, 0.0, False), 10_000)
+    before = dynamics.advance(COAST, 1_000)  # the effort has died out: the disturbance is alone
+    after = dynamics.advance(COAST, 20_000)
+
+    def antiderivative(time_s: float) -> float:
+        return -amplitude / frequency * np.cos(frequency * time_s + phase)
+
+    gained = antiderivative(after.time_s) - antiderivative(before.time_s)
+    assert after.time_s == pytest.approx(31.0)
+    assert after.speed_mps - before.speed_mps == pytest.approx(gained, abs=1e-9)
+    now = amplitude * np.sin(frequency * after.time_s + phase)
+    assert after.acceleration_mps2 == pytest.approx(now, abs=1e-9)
+
+
+def test_a_disturbance_does_not_move_a_train_that_its_brake_holds(urban: Train, level: Line) -> None:
+    vehicle = Vehicle(urban, level, disturbance=Disturbance(0.3, 1.0))
+    dynamics = KernelDynamics(vehicle, 100.0, 1e-3, urban.pneumatic.holding_effort_n)
+    motion = dynamics.advance(Orders(0.0, True, urban.pneumatic.holding_effort_n, True), 20_000)
+    assert (motion.position_m, motion.speed_mps, motion.acceleration_mps2) == (100.0, 0.0, 0.0)
+
+
+def test_energy_balance_closes_under_a_disturbance(
+    urban: Train, level: Line, scripted: Callable[..., Any]
+) -> None:
+    vehicle = Vehicle(urban, level, disturbance=Disturbance(0.1, 0.9))
+    motion = scripted(vehicle, ((15.0, 0.8), (20.0, 0.0), (4.0, -0.4))).motions[-1]
+    kinetic_j = 0.5 * vehicle.effective_mass_kg * motion.speed_mps**2
+    spent_j = motion.electrodynamic_work_j + motion.pneumatic_work_j + motion.resistance_work_j
+    assert motion.traction_work_j - spent_j == pytest.approx(kinetic_j, rel=1e-5)
+
+
+def test_gradient_factor_scales_slopes_and_leaves_curves(ideal: Train, paper_line: Line) -> None:
+    steeper = Deviations(gradient_factor=1.2)
+    weight_n = 9.81e-3 * ideal.mass_kg
+
+    def resistance_n(front_m: float, deviations: Deviations) -> float:
+        vehicle = Vehicle(ideal, paper_line, deviations)
+        return KernelDynamics(vehicle, front_m, 1e-3, 50_000.0).advance(COAST, 1).resistance_n
+
+    on_the_climb = resistance_n(300.0, steeper)
+    assert on_the_climb == pytest.approx(1.2 * 6.0 * weight_n)
+    assert paper_line.mean_specific_resistance(1080.0, 50.0) == pytest.approx(1.2)  # a curve, level
+    moving = Vehicle(ideal, paper_line, steeper)
+    assert moving.track(1080.0).friction_n == pytest.approx(1.2 * weight_n)
+    assert moving.track(1080.0).gradient_n == pytest.approx(0.0, abs=1e-9)
+
+
+def test_friction_brake_factor_leaves_the_motors_alone(urban: Train, level: Line) -> None:
+    weak = Vehicle(urban, level, Deviations(brake_factor=0.9, friction_brake_factor=0.8))
+    wheel = at_the_rail(weak, 5.0, -50_000.0, 40_000.0)
+    assert wheel.electrodynamic_n == pytest.approx(0.9 * 50_000.0)
+    assert wheel.pneumatic_n == pytest.approx(0.72 * 40_000.0)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_friction_time_constant_factor_is_that_of_the_friction_brake_alone(
+    urban: Train, level: Line, factor: float
+) -> None:
+    vehicle = Vehicle(urban, level, Deviations(friction_time_constant_factor=factor))
+    dynamics = KernelDynamics(vehicle, 0.0, 1e-3, 0.0)
+    order_n = 1_000.0  # so small that the rate limit is passed in no time
+    dynamics.advance(Orders(0.0, True, order_n, True), round(1000 * urban.pneumatic.dead_time_s))
+    lag_s = urban.pneumatic.time_constant_s * factor
+    motion = dynamics.advance(Orders(0.0, True, order_n, True), round(1000 * (lag_s + 0.02)))
+    assert motion.pneumatic_n == pytest.approx(order_n * (1.0 - np.exp(-1.0)), rel=0.03)

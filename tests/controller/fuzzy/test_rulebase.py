@@ -4,15 +4,21 @@ import re
 
 import pytest
 
+from controller.fuzzy.bases import FUZZY_D_RULES, fuzzy_d_rules
 from controller.fuzzy.rulebase import (
     FIVE_TERMS,
-    FUZZY_D_RULES,
+    NO_RULE,
     SEVEN_TERMS,
+    CentreAverage,
+    ContinuousCentroid,
+    DiscreteCentroid,
     RuleBase,
     RuleBaseError,
     Variable,
-    fuzzy_d_rules,
+    left_shoulder,
     parse_rules,
+    right_shoulder,
+    triangle,
 )
 
 # The table as the reference gives it: rows de = NB..PB, columns e = NB..PB, 0 = NB .. 6 = PB.
@@ -33,44 +39,11 @@ def test_rule_table_is_antisymmetric():
             assert rules().consequents[4 - i][4 - j] == 6 - rules().consequents[i][j]
 
 
-def test_triangles_reach_zero_at_the_neighbours_peaks():
-    variable = Variable.symmetric("e", "m/s", FIVE_TERMS, (0.5, 1.0))
-    assert variable.triangle("NB") == (-1.0, -1.0, -0.5)
-    assert variable.triangle("Z") == (-0.5, 0.0, 0.5)
-    assert variable.triangle("PB") == (0.5, 1.0, 1.0)
-
-
-def test_universe_has_the_given_number_of_points_and_both_ends():
-    universe = rules().universe()
-    assert len(universe) == 101
-    assert universe[0] == -1.5
-    assert universe[-1] == pytest.approx(1.5, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("peaks", "message"),
-    [
-        ((0.0, 1.0), "term Z: peak 0 must be greater than -0, the peak of NS"),
-        ((1.0, 0.5), "term NS: peak -1 must be greater than -0.5, the peak of NB"),
-        ((0.5, float("nan")), "must be finite"),
-        ((0.5, float("inf")), "must be finite"),
-    ],
-)
-def test_peaks_that_do_not_ascend_or_are_not_finite_are_rejected(peaks, message):
-    with pytest.raises(RuleBaseError, match=message) as error:
-        Variable.symmetric("error", "m/s", FIVE_TERMS, peaks)
-    assert error.value.exit_code == 2
-    assert "\n" not in str(error.value)
-
-
-def test_a_term_without_a_peak_is_rejected():
-    with pytest.raises(RuleBaseError, match="5 terms but 2 peaks"):
-        Variable("error", "m/s", FIVE_TERMS, (0.0, 1.0))
-
-
-def test_a_term_named_twice_is_rejected():
-    with pytest.raises(RuleBaseError, match="named twice"):
-        Variable("error", "m/s", ("N", "N"), (0.0, 1.0))
+def test_sample_has_the_given_number_of_points_and_both_ends():
+    sample = rules().sample()
+    assert len(sample) == 101
+    assert sample[0] == -1.5
+    assert sample[-1] == pytest.approx(1.5, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -86,17 +59,21 @@ def test_an_incomplete_printed_table_is_rejected(table, message):
         parse_rules(table, columns=FIVE_TERMS, rows=FIVE_TERMS)
 
 
-def with_rules(rows: tuple[tuple[str, ...], ...], points: int = 101, s: float = 0.5) -> RuleBase:
+def with_rules(rows: tuple[tuple[str, ...], ...], s: float = 0.5, **declared) -> RuleBase:
     return RuleBase(
         error=Variable.symmetric("error", "m/s", FIVE_TERMS, (0.5, 1.0)),
         rate=Variable.symmetric("rate", "m/s2", FIVE_TERMS, (1.0, 2.0)),
         output=Variable.symmetric("output", "m/s2", SEVEN_TERMS, (s, 1.0, 1.5)),
         rules=rows,
-        points=points,
+        **declared,
     )
 
 
-def test_a_hole_in_the_rules_is_rejected():
+def changed(rows: tuple[tuple[str, ...], ...], cells: dict[tuple[int, int], str]):
+    return tuple(tuple(cells.get((i, j), cell) for j, cell in enumerate(row)) for i, row in enumerate(rows))
+
+
+def test_a_table_that_does_not_fit_its_variables_is_rejected():
     full = rules().rules
     with pytest.raises(RuleBaseError, match="4 rows for the 5 terms of rate"):
         with_rules(full[:-1])
@@ -106,9 +83,75 @@ def test_a_hole_in_the_rules_is_rejected():
         with_rules((("XX", *full[0][1:]), *full[1:]))
 
 
+def test_a_missing_rule_is_rejected_where_no_other_rule_fires():
+    # At the peaks of both Z only the middle rule fires.
+    rows = changed(rules().rules, {(2, 2): NO_RULE})
+    with pytest.raises(
+        RuleBaseError, match=r"none fires for error between -0.25 and 0 m/s with rate between -0.5 and 0 m/s2"
+    ) as error:
+        with_rules(rows)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_rule_is_accepted_where_its_neighbours_fire():
+    wide = Variable.shaped(
+        "error",
+        "m/s",
+        (-1.0, 1.0),
+        {"N": left_shoulder(-0.5, 0.5), "Z": triangle(-0.9, 0.0, 0.9), "P": right_shoulder(-0.5, 0.5)},
+    )
+    rate = Variable("rate", "m/s2", ("N", "P"), (-1.0, 1.0))
+    output = Variable("output", "m/s2", ("N", "Z", "P"), (-1.0, 0.0, 1.0))
+    # Around error 0 both N and P are at half height: the Z column may lack a rule.
+    sparse = RuleBase(wide, rate, output, (("N", "-", "Z"), ("Z", "P", "P")))
+    assert sparse.consequents == ((0, -1, 1), (1, 2, 2))
+
+
+def test_an_output_term_that_no_rule_uses_must_be_declared_unused():
+    rows = tuple(tuple("PS" if cell == "PM" else cell for cell in row) for row in rules().rules)
+    with pytest.raises(RuleBaseError, match=r"none uses output.PM; use it in a rule, or name it in `unused`"):
+        with_rules(rows)
+    assert with_rules(rows, unused=("output.PM",)).unused == ("output.PM",)
+    with pytest.raises(RuleBaseError, match=r"unused: output.PM is used by a rule"):
+        with_rules(rules().rules, unused=("output.PM",))
+
+
+def test_an_input_term_that_no_rule_reads_must_be_declared_unused():
+    error = Variable.shaped(
+        "error",
+        "m/s",
+        (-1.0, 1.0),
+        {"N": left_shoulder(-0.5, 0.5), "Z": triangle(-0.9, 0.0, 0.9), "P": right_shoulder(-0.5, 0.5)},
+    )
+    rate = Variable("rate", "m/s2", ("N", "P"), (-1.0, 1.0))
+    output = Variable("output", "m/s2", ("N", "P"), (-1.0, 1.0))
+    table = (("N", "-", "N"), ("P", "-", "P"))
+    with pytest.raises(RuleBaseError, match=r"none uses error.Z"):
+        RuleBase(error, rate, output, table)
+    assert RuleBase(error, rate, output, table, unused=("error.Z",)).consequents[0] == (0, -1, 0)
+
+
 def test_an_output_term_that_no_point_falls_under_is_rejected():
     # An empty aggregate would have no centroid; here the points straddle the narrow triangle of S.
     with pytest.raises(RuleBaseError, match="none of 3 falls under term NM"):
-        with_rules(rules().rules, points=3)
+        with_rules(rules().rules, defuzzification=DiscreteCentroid(3))
     with pytest.raises(RuleBaseError, match="2 must be at least 3"):
-        with_rules(rules().rules, points=2)
+        with_rules(rules().rules, defuzzification=DiscreteCentroid(2))
+    # The centroid that integrates needs no points.
+    assert with_rules(rules().rules, defuzzification=ContinuousCentroid()).sample() == ()
+
+
+def test_an_output_term_without_area_inside_the_universe_has_no_continuous_centroid():
+    one = Variable("error", "m/s", ("N", "P"), (-1.0, 1.0))
+    rate = Variable("rate", "m/s2", ("N", "P"), (-1.0, 1.0))
+    outward = {"N": triangle(-1, -1, 0), "P": triangle(1, 1, 2)}
+    output = Variable.shaped("output", "m/s2", (-1.0, 1.0), outward)
+    table = (("N", "P"), ("P", "P"))
+    with pytest.raises(RuleBaseError, match="variable output, term P: no area between -1 and 1"):
+        RuleBase(one, rate, output, table, defuzzification=ContinuousCentroid())
+    assert RuleBase(one, rate, output, table, defuzzification=CentreAverage()).consequents[0] == (0, 1)
+
+
+def test_an_unknown_conjunction_is_rejected():
+    with pytest.raises(RuleBaseError, match="'mean' must be 'min' or 'product'"):
+        with_rules(rules().rules, conjunction="mean")

@@ -129,7 +129,7 @@ def test_with_time_to_spare_the_train_coasts(journeys):
 def test_a_climb_slows_the_plan_where_traction_is_too_weak(on):
     climb = on(line(gradients=[(50.0, 600.0, 60.0)]))
     level = on(line())
-    assert fastest_time_s(climb, CONFIG) > fastest_time_s(level, CONFIG) + 2.0
+    assert fastest_time_s(climb, CONFIG) > fastest_time_s(level, CONFIG) + 1.0
 
 
 def test_a_climb_too_steep_is_an_error_that_says_where(on):

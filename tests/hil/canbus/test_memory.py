@@ -1,4 +1,6 @@
-from hil.canbus.memory import MemoryChannel
+import pytest
+
+from hil.canbus.memory import Loss, MemoryChannel
 
 
 def test_frames_reach_every_other_link_in_order_and_not_the_sender():
@@ -37,3 +39,45 @@ def test_a_frame_keeps_its_bytes_when_the_sender_reuses_the_buffer():
     a.send(1, buffer)
     buffer[:] = b"two"
     assert b.drain()[0].data == b"one"
+
+
+def heard(loss, frames=20_000, receivers=1):
+    channel = MemoryChannel(loss)
+    sender = channel.link()
+    links = [channel.link() for _ in range(receivers)]
+    for number in range(frames):
+        sender.send(0x100 + number % 4, number.to_bytes(4))
+    return channel, [[int.from_bytes(frame.data) for frame in link.drain()] for link in links]
+
+
+def test_frames_are_lost_as_often_as_asked_and_counted():
+    channel, (frames,) = heard(Loss(0.01, seed=1))
+    assert 140 < 20_000 - len(frames) < 260
+    assert channel.lost == 20_000 - len(frames)
+    assert frames == sorted(frames)
+
+
+def test_a_seed_loses_the_same_frames_and_another_seed_others():
+    assert heard(Loss(0.05, seed=3))[1] == heard(Loss(0.05, seed=3))[1]
+    assert heard(Loss(0.05, seed=3))[1] != heard(Loss(0.05, seed=4))[1]
+
+
+def test_a_lost_frame_is_lost_for_every_receiver():
+    _, (a, b) = heard(Loss(0.2, seed=2), receivers=2)
+    assert a == b
+
+
+def test_spared_identifiers_are_never_lost():
+    _, (frames,) = heard(Loss(1.0, seed=1, spared=frozenset({0x102})), frames=400)
+    assert frames == list(range(2, 400, 4))
+
+
+def test_without_a_probability_nothing_is_lost():
+    channel, (frames,) = heard(Loss(0.0, seed=1), frames=500)
+    assert (channel.lost, len(frames)) == (0, 500)
+
+
+@pytest.mark.parametrize("probability", [-0.1, 1.5])
+def test_a_probability_that_is_none_is_refused(probability):
+    with pytest.raises(ValueError, match="must be 0 to 1"):
+        Loss(probability, seed=1)
