@@ -8,24 +8,25 @@ jitter.
 
 from __future__ import annotations
 
-import gc
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.bench.braking import BY_THE_USER, Cut
+from hil.bench.loss import frame_loss
 from hil.bench.outcome import Interrupted, Outcome, RunOptions, Show
 from hil.bench.processes import recording_properties
 from hil.bench.shared import shared_folder
 from hil.bench.sync import LAST_IN_CHAIN, BenchNode
+from hil.bench.turns import NODES, garbage_collection_frozen, take_turns
 from hil.bench.watch import Ending, Watch
 from hil.canbus.contract import Contract
-from hil.canbus.memory import MemoryChannel, MemoryLink
+from hil.canbus.memory import MemoryChannel
 from hil.canbus.transport import Transport
 from hil.node.cycle import Node
 from hil.node.inbox import bus_identifier
@@ -34,12 +35,6 @@ from hil.node.process import NodeProcess, build_node, receive_ids
 from hil.record.recorder import Recorder, RecorderOptions
 from hil.record.viewer import start_viewer
 
-NODES = ("controller", "plant_sim")
-"""In the order in which they take their turns."""
-
-BLOCK_S = 20.0
-"""Simulated seconds between two visits of the recorder in lockstep: few large blocks cost least."""
-
 
 class Ended(NamedTuple):
     """How the loop ended: its simulated and wall-clock time, status by node, frames that the bench sent."""
@@ -47,8 +42,9 @@ class Ended(NamedTuple):
     ending: Ending
     simulated_s: float
     wall_s: float
-    nodes: dict[str, Mapping[str, Any]]
+    nodes: Mapping[str, Mapping[str, Any]]
     bench_sent: int
+    lost_on_purpose: int = 0
 
 
 def run_in_one_process(
@@ -84,6 +80,7 @@ def run_in_one_process(
             one_process=True,
             nodes=ended.nodes,
             bench_sent=ended.bench_sent,
+            lost_on_purpose=ended.lost_on_purpose,
             recorder=statistics.as_dict(),
         )
 
@@ -97,69 +94,31 @@ def _lockstep(
     show: Show,
     interrupted: Interrupted,
 ) -> Ended:
-    channel = MemoryChannel()
+    scenario = options.scenario
+    channel = MemoryChannel(frame_loss(contract, scenario.bus.loss_probability, scenario.journey.seed))
     last = bus_identifier(contract.message(LAST_IN_CHAIN))
     link = channel.link([*watch.identifiers, last])
     bench = BenchNode(link, contract, watch, tick_s=options.tick_s)
     listener = channel.link()
     nodes = {name: _node(options, contract, channel, name, shared) for name in NODES}
-    with _garbage_collection_frozen():
+
+    def record() -> None:
+        recorder.feed(listener.drain())
+        recorder.flush()
+
+    with garbage_collection_frozen():
         start = time.monotonic()
-        ending, simulated_s = _take_turns(options, bench, nodes, watch, recorder, listener, show, interrupted)
+        ending, simulated_s = take_turns(
+            bench, nodes, watch,
+            tick_s=options.tick_s, show=show, interrupted=interrupted, each_block=record,
+        )  # fmt: skip
         for name, node in nodes.items():
             if name != "controller" or not bench.controller_is_gone:
                 node.stop()
-        recorder.feed(listener.drain())
-        recorder.flush()
+        record()
         wall_s = time.monotonic() - start
-    return Ended(
-        ending, simulated_s, wall_s, {name: node.report() for name, node in nodes.items()}, link.sent
-    )
-
-
-def _take_turns(
-    options: RunOptions,
-    bench: BenchNode,
-    nodes: Mapping[str, Node],
-    watch: Watch,
-    recorder: Recorder,
-    listener: MemoryLink,
-    show: Show,
-    interrupted: Interrupted,
-) -> tuple[Ending, float]:
-    turns = [nodes[name] for name in NODES]
-    tick_s = options.tick_s
-    look, block = max(1, round(0.1 / tick_s)), max(1, round(BLOCK_S / tick_s))
-    tick = 0
-    cut: Cut | None = None
-    start = time.monotonic()
-    while True:
-        bench.begin_tick(tick)
-        for node in turns:
-            try:
-                node.cycle()
-            except Exception as error:
-                if not hasattr(error, "exit_code"):
-                    raise
-                return Ending("died", f"{node.unit.name}: {error}"), tick * tick_s
-        bench.await_tick(tick, timeout_s=0.0)
-        tick += 1
-        if tick % block == 0:
-            recorder.feed(listener.drain())
-            recorder.flush()
-        if tick % look:
-            continue
-        view = watch.view(tick * tick_s)
-        show(view, tick * tick_s / max(time.monotonic() - start, 1e-9))
-        if cut is None and interrupted():
-            cut = Cut(BY_THE_USER, tick * tick_s, interrupted())
-            turns.pop(0).stop()
-            bench.controller_is_gone = True
-        ending = watch.ending(view) if cut is None else None
-        if ending is not None:
-            return ending, tick * tick_s
-        if cut is not None and cut.over(view, interrupts=interrupted()):
-            return cut.ending, tick * tick_s
+    reports = {name: node.report() for name, node in nodes.items()}
+    return Ended(ending, simulated_s, wall_s, reports, link.sent, channel.lost)
 
 
 def _node(options: RunOptions, contract: Contract, channel: MemoryChannel, name: str, shared: Path) -> Node:
@@ -175,19 +134,6 @@ def _node(options: RunOptions, contract: Contract, channel: MemoryChannel, name:
     )
     node.warm_up()
     return node
-
-
-@contextmanager
-def _garbage_collection_frozen() -> Iterator[None]:
-    """As in a node's own process: what is there stays, and the loop makes no cycles to collect."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-        gc.unfreeze()
 
 
 def _threads(

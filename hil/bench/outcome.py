@@ -62,12 +62,14 @@ class Outcome:
     wall_time_s: float
     simulated_time_s: float
     one_process: bool
-    nodes: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    nodes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Status of each node when it ended; empty for one that did not end well."""
     recorder: Mapping[str, Any] = field(default_factory=dict)
     """Likewise of the recorder."""
     bench_dropped: int = 0
     bench_sent: int = 0
+    lost_on_purpose: int = 0
+    """Frames that the bench itself took away (`[bus] loss_probability`)."""
 
     @property
     def speedup(self) -> float:

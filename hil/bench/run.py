@@ -12,6 +12,7 @@ from typing import Any
 
 from hil.bench.inprocess import run_in_one_process
 from hil.bench.junit import write_junit
+from hil.bench.loss import check_loss
 from hil.bench.outcome import Interrupted, RunOptions, Show
 from hil.bench.processes import run_in_processes
 from hil.bench.summary import summarise
@@ -27,6 +28,7 @@ def run_scenario(options: RunOptions, *, show: Show) -> dict[str, Any]:
     this process. Raises the errors of what could not be started; an interrupted or broken run still
     has its recording and its summary.
     """
+    check_loss(options)
     contract = Contract.load(options.dbc)
     drive = run_in_one_process if options.bus.interface == "virtual" else run_in_processes
     with counted_interrupts() as interrupted:

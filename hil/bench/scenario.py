@@ -55,6 +55,8 @@ class BusTable(BaseModel):
     interface: str | None = None
     channel: str | None = None
     bitrate: Annotated[int, Field(gt=0)] | None = None
+    loss_probability: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Frames lost on purpose, seeded by `journey.seed`; in lockstep within one process only."""
 
 
 class _File(BaseModel):
@@ -172,5 +174,5 @@ def _absolute_paths(tables: Tables, folder: Path) -> None:
     journey: Mapping[str, Any] = tables["journey"]
     for key in ("line", "train"):
         value = journey.get(key)
-        if isinstance(value, str) and value.endswith(".toml"):
+        if isinstance(value, str) and value.endswith((".toml", ".json")):
             tables["journey"][key] = str((folder / value).resolve())
