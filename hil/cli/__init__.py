@@ -10,13 +10,21 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
+from typing import Protocol, runtime_checkable
 
-import click
 import typer
 
 from hil import __version__
 
-COMMANDS = {"run": "run", "list": "list_", "view": "view", "doctor": "doctor"}
+COMMANDS = {
+    "run": "run",
+    "list": "list_",
+    "view": "view",
+    "profile": "profile",
+    "study": "study",
+    "compare": "compare_",
+    "doctor": "doctor",
+}
 """Function of each command, in the module of that name. Only the one asked for is imported: a viewer
 library and a compiler are not loaded to say that a file is missing.
 """
@@ -28,20 +36,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code = _app(words)(args=words, standalone_mode=False, prog_name="hil")
         return code if isinstance(code, int) else 0
-    except click.exceptions.Exit as stop:
+    except typer.Exit as stop:
         return stop.exit_code
-    except click.exceptions.NoArgsIsHelpError as error:
-        typer.echo(error.format_message())
-        return 2
-    except click.ClickException as error:
-        return _fail(_usage_line(error), 2)
-    except (click.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         return _fail("hil: aborted", 1)
     except BrokenPipeError:
         # The reader of our output went away (`hil list | head`): not an error of ours.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
+        if isinstance(error, _ParserError):
+            if type(error).__name__ == "NoArgsIsHelpError":
+                typer.echo(error.format_message())
+                return 2
+            return _fail(_usage_line(error), 2)
         code = getattr(error, "exit_code", None)
         if isinstance(code, int):
             return _fail(f"hil: {error}", code)
@@ -82,7 +90,14 @@ def _options(
     pass
 
 
-def _usage_line(error: click.ClickException) -> str:
+@runtime_checkable
+class _ParserError(Protocol):
+    """An error of the argument parser: click's, or those of the copy of click inside newer typers."""
+
+    def format_message(self) -> str: ...
+
+
+def _usage_line(error: _ParserError) -> str:
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "hil"
     parameter = getattr(error, "param", None)
