@@ -19,8 +19,11 @@ class Row(NamedTuple):
 
     @property
     def ratio_text(self) -> str:
-        """The ratio ours/peer."""
-        return "-" if not self.peer else f"{self.ours / self.peer:.3g}"
+        """The ratio ours/peer; a small one as a fraction, the way a speed-up is told."""
+        if not self.peer:
+            return "-"
+        ratio = self.ours / self.peer
+        return f"{ratio:.3g}" if ratio > 0.1 else f"1/{1.0 / ratio:.3g}"
 
 
 def in_turns_us(

@@ -29,9 +29,7 @@ def chatter(command_n: Floats, ideal_n: Floats, step_s: float) -> Chatter:
     duration_s = (len(command_n) - 1) * step_s
     high = ripple(command_n, step_s)
     if high is None:
-        raise ValueError(
-            f"{len(command_n)} samples every {step_s:g} s: too few for a high-pass of 5 Hz"
-        )
+        raise ValueError(f"{len(command_n)} samples every {step_s:g} s: too few for a high-pass of 5 Hz")
     return Chatter(
         (total_variation(command_n) - total_variation(ideal_n)) / duration_s,
         high,

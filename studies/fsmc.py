@@ -13,7 +13,7 @@ import numpy as np
 from controller.laws import Law
 from studies.chatter import Chatter, chatter
 from studies.fsmc_figures import figures
-from studies.fsmc_laws import ESO_PREVIEW_S, MEAN_KG, NOMINAL_KG, fsmc, fsmc_eso, smc
+from studies.fsmc_laws import ESO_PREVIEW_S, MEAN_KG, NOMINAL_KG, fsmc, fsmc_eso, fsmc_eso_on_train, smc
 from studies.fsmc_plant import DISTURBED, NOMINAL, SAMPLE_S, TRACTION_N, Bus, Case, Run, drive
 from studies.study import Progress, Study, silent
 from studies.table import Row, Tolerance
@@ -157,7 +157,9 @@ def _steps(progress: Progress) -> list[Row]:
     for done, step_s in enumerate((0.02, 0.01, 0.005, 0.001)):
         progress("sample times", done / 4)
         errors = [
-            largest_error_kmh(drive(*_paper_law("smc", case), case, step_s=step_s), SETTLED_S)
+            largest_error_kmh(
+                drive(*_paper_law("smc", case), case, step_s=step_s, derivative_block=True), SETTLED_S
+            )
             for case in (NOMINAL, DISTURBED)
         ]
         for case, error, paper in zip((NOMINAL, DISTURBED), errors, (0.0056, 0.0168), strict=True):
@@ -191,12 +193,13 @@ class BusResult(NamedTuple):
 
 
 def bus_results(progress: Progress = silent) -> dict[tuple[str, str], BusResult]:
-    """The laws at 100 Hz over a bus, by law (`smc`, `fsmc`, `fsmc_kmh`, `fsmc_eso`) and case."""
+    """The laws at 100 Hz over a bus, by law (see `laws`) and case."""
     laws = {
-        "smc": ("SMC", smc(0.1), MEAN_KG, 0.0),
+        "smc": ("SMC, D = 0.1 m/s2", smc(0.1), MEAN_KG, 0.0),
         "fsmc": ("FSMC", fsmc(s_in_kmh=False), NOMINAL_KG, 0.0),
         "fsmc_kmh": ("FSMC, s in km/h", fsmc(s_in_kmh=True), NOMINAL_KG, 0.0),
         "fsmc_eso": ("FSMC with observer", fsmc_eso(), MEAN_KG, ESO_PREVIEW_S),
+        "fsmc_eso_train": ("FSMC with observer, as on a train", fsmc_eso_on_train(), MEAN_KG, 0.25),
     }
     results = {}
     for done, (name, (title, law, mass, preview_s)) in enumerate(laws.items()):
@@ -231,8 +234,22 @@ def _bus(results: dict[tuple[str, str], BusResult]) -> list[Row]:
         kept = result.clean
         reversals = result.ideal.reversals_per_s + limits[3]
         for label, unit, printed, ours, limit, ok in (
-            ("max |e| as measured", "km/h", known, result.error_kmh, limits[0], kept[0]),
-            ("max |e|, true", "km/h", known, result.true_error_kmh, limits[0], kept[0]),
+            (
+                "max |e| as measured",
+                "km/h",
+                known,
+                result.error_kmh,
+                limits[0],
+                result.error_kmh <= limits[0],
+            ),
+            (
+                "max |e|, true",
+                "km/h",
+                known,
+                result.true_error_kmh,
+                limits[0],
+                result.true_error_kmh <= limits[0],
+            ),
             ("TVx", "kN/s", None, result.chatter.excess_variation_n_per_s / 1e3, limits[1], kept[1]),
             ("HF5", "kN", None, result.chatter.high_frequency_n / 1e3, limits[2], kept[2]),
             ("REV", "1/s", None, result.chatter.reversals_per_s, reversals, kept[3]),

@@ -8,12 +8,21 @@ from typing import Literal
 
 from controller.fuzzy.bases import fsmc_rules
 from controller.fuzzy.compiled import CompiledRuleBase
-from controller.laws import Law
+from controller.laws import Drive, Law
 from controller.laws import fsmc as fuzzy_sliding_mode
 from controller.laws import fsmc_eso as with_observer
 from controller.laws import smc as sliding_mode
 
-__all__ = ["ESO_PREVIEW_S", "MEAN_KG", "NOMINAL_KG", "fsmc", "fsmc_eso", "smc", "surface"]
+__all__ = [
+    "ESO_PREVIEW_S",
+    "MEAN_KG",
+    "NOMINAL_KG",
+    "fsmc",
+    "fsmc_eso",
+    "fsmc_eso_on_train",
+    "smc",
+    "surface",
+]
 
 NOMINAL_KG = 252_500.0
 """Mass that the FSMC reckons with: no other gives the paper's 3.12e5 N."""
@@ -39,6 +48,12 @@ def fsmc(*, s_in_kmh: bool) -> Law:
 def fsmc_eso() -> Law:
     """Fuzzy sliding mode with the extended-state observer, for this train behind a 100 Hz bus."""
     return with_observer.FsmcEso(with_observer.PAPER)
+
+
+def fsmc_eso_on_train() -> Law:
+    """The same law as `hil run` uses it: defaults for this train's drive, which is not tuned to this loop."""
+    parameters = with_observer.FsmcEsoParameters(reported_effort=False)
+    return with_observer.FsmcEso(parameters, Drive(0.01, 0.2))
 
 
 def surface() -> CompiledRuleBase:

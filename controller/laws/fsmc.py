@@ -52,6 +52,7 @@ class Fsmc:
         ("surface_rate_mps2", "m/s^2"),
         ("fuzzy_output", "1"),
         ("feed_forward_mps2", "m/s^2"),
+        ("rules_clipped", "1"),
     )
 
     def __init__(self, parameters: FsmcParameters) -> None:
@@ -64,6 +65,7 @@ class Fsmc:
     def reset(self) -> None:
         """Forget the last s and its rate."""
         self._rate.reset()
+        self._fuzzy.reset()
         self._last_s: float | None = None
         self._s = 0.0
         self._s_rate = 0.0
@@ -85,5 +87,5 @@ class Fsmc:
         return clamp(free, measurement.lowest_mps2, measurement.highest_mps2)
 
     def internals(self) -> tuple[float, ...]:
-        """Surface s [m/s], its rate [m/s2], output of the rules [1] and ff [m/s2] of the last step."""
-        return self._s, self._s_rate, self._output, self._feed_forward
+        """Surface s [m/s], its rate [m/s2], output of the rules [1], ff [m/s2], clipped or not."""
+        return self._s, self._s_rate, self._output, self._feed_forward, float(self._fuzzy.is_clipping)

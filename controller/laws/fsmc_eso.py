@@ -1,7 +1,7 @@
 """Fuzzy sliding mode with an extended-state observer: the FSMC paper's law as a drive on a bus needs it.
 
     s = v^ - vd;   ds = f^ - R + L - dvd/dt, filtered
-    u = dvd/dt ahead - K uf(s, ds) - (L + t_a dL/dt)
+    u = (dvd/dt ahead - K uf(s, ds) + R - (L + t_a dL/dt)) / b - R
 
 The observer (:mod:`controller.laws.observer`) knows the drive's dead time and lag. It takes away the
 disturbance without loop gain and supplies s and its rate without noise: nothing chatters, and no quantised
@@ -76,7 +76,7 @@ class Tuning(NamedTuple):
     smoothing_s: float
 
     def slowed(self, speed_mps: float) -> float:
-        """Factor of gain and bandwidth while braking at this speed: the friction brake is slower."""
+        """Factor of the gain on s while braking at this speed: the friction brake is slower."""
         drive = self.drive
         share = drive.friction_share(speed_mps)
         if share == 0.0:
@@ -123,6 +123,7 @@ class FsmcEso:
         ("feed_forward_mps2", "m/s^2"),
         ("unmodelled_mps2", "m/s^2"),
         ("estimated_speed_mps", "m/s"),
+        ("rules_clipped", "1"),
     )
 
     def __init__(self, parameters: FsmcEsoParameters, drive: Drive = DRIVE) -> None:
@@ -137,6 +138,7 @@ class FsmcEso:
     def reset(self) -> None:
         """Forget the train: the observer starts anew with the next measurement."""
         self._observer = None
+        self._fuzzy.reset()
         self._s = 0.0
         self._s_rate = 0.0
         self._output = 0.0
@@ -163,11 +165,7 @@ class FsmcEso:
         slower = 1.0
         if reference.acceleration_mps2 < 0.0:
             slower = tuning.slowed(measurement.speed_mps)
-        observer.correct(
-            measurement.speed_mps,
-            reference.acceleration_mps2 + resistance,
-            bandwidth_per_s=tuning.bandwidth_per_s,
-        )
+        observer.correct(measurement.speed_mps, reference.acceleration_mps2 + resistance)
         if p.reported_effort and measurement.effort_mps2 is not None:
             effort = measurement.effort_mps2
             # A brake holds a standing train against what pulls at it; it does not push it back.
@@ -186,7 +184,8 @@ class FsmcEso:
         return demand
 
     def internals(self) -> tuple[float, ...]:
-        """s, its rate, output of the rules, planned acceleration, L and estimated speed of the last step."""
+        """s, its rate, output of the rules, planned acceleration, L, estimated speed, clipped or not."""
         observer = self._observer
         unmodelled, speed = (0.0, 0.0) if observer is None else (observer.unmodelled_mps2, observer.speed_mps)
-        return self._s, self._s_rate, self._output, self._feed_forward, unmodelled, speed
+        clipped = float(self._fuzzy.is_clipping)
+        return self._s, self._s_rate, self._output, self._feed_forward, unmodelled, speed, clipped

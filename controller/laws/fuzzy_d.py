@@ -76,6 +76,7 @@ class FuzzyD:
         ("integral_mps2", "m/s^2"),
         ("feed_forward_mps2", "m/s^2"),
         ("error_rate_mps2", "m/s^2"),
+        ("rules_clipped", "1"),
         ("fuzzy_output_mps2", "m/s^2"),
     )
 
@@ -92,6 +93,7 @@ class FuzzyD:
     def reset(self) -> None:
         """Forget the integral and the error's rate."""
         self._rate.reset()
+        self._fuzzy.reset()
         self._integral = 0.0
         self._feedback = 0.0
         self._feed_forward = 0.0
@@ -115,5 +117,7 @@ class FuzzyD:
         return demand
 
     def internals(self) -> tuple[float, ...]:
-        """Shares of the last demand, the error's rate and the fuzzy controller's output [m/s2]."""
-        return self._feedback, self._integral, self._feed_forward, self._rate.value_mps2, self._output
+        """Shares of the last demand, the error's rate, clipped or not, output of the rules [m/s2]."""
+        clipped = float(self._fuzzy.is_clipping)
+        shares = self._feedback, self._integral, self._feed_forward
+        return *shares, self._rate.value_mps2, clipped, self._output

@@ -70,6 +70,7 @@ class FuzzyPid:
         ("kp_per_s", "1/s"),
         ("ki_per_s2", "1/s^2"),
         ("kd", "1"),
+        ("rules_clipped", "1"),
     )
 
     def __init__(self, parameters: FuzzyPidParameters) -> None:
@@ -84,6 +85,8 @@ class FuzzyPid:
     def reset(self) -> None:
         """Forget the integral and the error's rate."""
         self._rate.reset()
+        for rules in (self._kp_change, self._ki_change, self._kd_change):
+            rules.reset()
         self._integral = 0.0
         self._feedback = 0.0
         self._feed_forward = 0.0
@@ -110,5 +113,6 @@ class FuzzyPid:
         return demand
 
     def internals(self) -> tuple[float, ...]:
-        """Shares of the last demand and the error's rate [m/s2], and the three gains."""
-        return self._feedback, self._integral, self._feed_forward, self._rate.value_mps2, *self.gains
+        """Shares of the last demand and the error's rate [m/s2], the three gains, clipped or not."""
+        shares = self._feedback, self._integral, self._feed_forward
+        return *shares, self._rate.value_mps2, *self.gains, float(self._kp_change.is_clipping)

@@ -73,18 +73,15 @@ class ExtendedStateObserver:
         self.effectiveness = 1.0
         self._fill(0.0)
 
-    def correct(self, speed_mps: float, force_mps2: float, *, bandwidth_per_s: float | None = None) -> None:
-        """Take a measured speed; the first one also sets the drive to `force_mps2`, its steady state.
-
-        `bandwidth_per_s` replaces that of the observer for this sample.
-        """
+    def correct(self, speed_mps: float, force_mps2: float) -> None:
+        """Take a measured speed; the first one also sets the drive to `force_mps2`, its steady state."""
         if not self._started:
             self._started = True
             self.speed_mps = speed_mps
             self.drive_mps2 = force_mps2
             self._fill(force_mps2)
             return
-        w = self._w if bandwidth_per_s is None else bandwidth_per_s
+        w = self._w
         error, dt = speed_mps - self.speed_mps, self._dt_s
         error -= clamp(error, -self._agreement, self._agreement)
         self.speed_mps += 3.0 * w * dt * error

@@ -56,6 +56,7 @@ class SpeedT:
         ("fuzzy_output_mps2", "m/s^2"),
         ("feed_forward_mps2", "m/s^2"),
         ("error_rate_mps2", "m/s^2"),
+        ("rules_clipped", "1"),
     )
 
     def __init__(self, parameters: SpeedTParameters) -> None:
@@ -71,6 +72,7 @@ class SpeedT:
     def reset(self) -> None:
         """Forget the error's rate."""
         self._rate.reset()
+        self._fuzzy.reset()
         self._output = 0.0
         self._feed_forward = 0.0
 
@@ -83,5 +85,5 @@ class SpeedT:
         return clamp(self._output + self._feed_forward, measurement.lowest_mps2, measurement.highest_mps2)
 
     def internals(self) -> tuple[float, ...]:
-        """Fuzzy and feed-forward shares of the last demand and the error's rate [m/s2]."""
-        return self._output, self._feed_forward, self._rate.value_mps2
+        """Fuzzy and feed-forward shares of the last demand, the error's rate [m/s2], clipped or not."""
+        return self._output, self._feed_forward, self._rate.value_mps2, float(self._fuzzy.is_clipping)

@@ -52,7 +52,7 @@ def compare_(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the scenario.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Directory of the results [runs/<time>-compare-<scenario>].")
+        Path | None, typer.Option(help="Directory of the results; default: runs/<time>-compare-<scenario>.")
     ] = None,
     show: Annotated[bool, typer.Option("--view", help="Show the nominal runs in the Rerun viewer.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print compare.json and nothing else.")] = False,
@@ -82,7 +82,7 @@ def compare_(
         console.print("no view: there is no display here; afterwards: hil view --web …", style="yellow")
         show = False
     folder = new_run_directory(out, f"compare-{name}")
-    with counted_interrupts() as interrupted, _Live(console, request) as live:
+    with counted_interrupts() as interrupted, _Live(Console(stderr=True), request) as live:
         comparison = compare(request, on_result=live.note, interrupted=interrupted)
     content = write_files(comparison, folder)
     _pictures(comparison, folder, show=show)
@@ -100,7 +100,7 @@ def report(console: Console, comparison: Comparison, folder: Path) -> None:
     request = comparison.request
     console.print(screen(nominal_cells(comparison)))
     console.print(f"[dim]{EXPLANATION}[/dim]", highlight=False)
-    _failures(console, "nominal", list(comparison.nominal.values()))
+    _failures(console, "nominal", list(comparison.nominal.values()), most=len(request.contenders))
     drawn = spread_cells(comparison)
     if drawn.rows:
         console.print()
@@ -109,19 +109,34 @@ def report(console: Console, comparison: Comparison, folder: Path) -> None:
             _failures(console, "drawn", results)
     if comparison.interrupted:
         console.print(f"[yellow]interrupted: {comparison.done} of {request.total} runs were made[/yellow]")
-    console.print(f"\nresults: {folder}   compare.json, .csv, .png, .rrd", highlight=False, soft_wrap=True)
+    written = ", ".join(sorted(path.name for path in folder.iterdir()))
+    console.print(f"\nresults: {folder}   {written}", highlight=False, soft_wrap=True)
 
 
 def _checked(request: Request) -> str:
     """The scenario's name; errors of scenario, overrides, presets and set are told before anything runs."""
     name = request.scenario
     with tempfile.TemporaryDirectory(prefix="hil-") as scratch:
-        drawn = draws(request.set_name, 1, request.seed)[0].overrides()
+        drawn = draws(request.set_name, 1, request.seed)[0].overrides() if request.runs else ()
+        _set_once(request, drawn)
         for contender in request.contenders:
             chosen = (*request.overrides, *contender.overrides())
             name = load_scenario(request.scenario, chosen, scratch=Path(scratch)).name
             load_scenario(request.scenario, (*chosen, *drawn), scratch=Path(scratch))
     return name
+
+
+def _set_once(request: Request, drawn: Sequence[str]) -> None:
+    """A value cannot be both the user's and the comparison's: one of them would be ignored in silence."""
+    ours = dict.fromkeys(_keys(drawn), f"--set-of {request.set_name} draws it")
+    ours["controller.law"] = "--laws chooses it"
+    for key in _keys(request.overrides):
+        if key in ours:
+            raise ScenarioError(f"--set {key}: {ours[key]}; leave it out")
+
+
+def _keys(overrides: Sequence[str]) -> list[str]:
+    return [override.split("=", 1)[0].strip() for override in overrides]
 
 
 def _pictures(comparison: Comparison, folder: Path, *, show: bool) -> None:
@@ -135,13 +150,15 @@ def _pictures(comparison: Comparison, folder: Path, *, show: bool) -> None:
     draw_picture(comparison, folder)
 
 
-def _failures(console: Console, which: str, results: Sequence[TrialResult]) -> None:
+def _failures(
+    console: Console, which: str, results: Sequence[TrialResult], *, most: int = MOST_FAILURES_SHOWN
+) -> None:
     failed = [result for result in results if result.failure]
-    for result in failed[:MOST_FAILURES_SHOWN]:
+    for result in failed[:most]:
         who = f"{result.contender.name}, {which}" + (f" {result.draw.number}" if result.draw.number else "")
         console.print(f"[red]{who}: {escape(result.failure)}[/red]", soft_wrap=True, highlight=False)
-    if len(failed) > MOST_FAILURES_SHOWN:
-        console.print(f"[red]… and {len(failed) - MOST_FAILURES_SHOWN} more in {JSON_FILE}[/red]")
+    if len(failed) > most:
+        console.print(f"[red]… and {len(failed) - most} more in {JSON_FILE}[/red]")
 
 
 class _Live:
@@ -176,7 +193,8 @@ class _Live:
         self._failed += bool(result.failure)
         stop = result.metrics.stop_error_m
         if stop is not None and abs(stop) > self._worst[0]:
-            self._worst = (abs(stop), f"{result.contender.name} draw {result.draw.number}")
+            train = f"draw {result.draw.number}" if result.draw.number else "nominal"
+            self._worst = (abs(stop), f"{result.contender.name} {train}")
         told = f"{self._failed} failed   worst stop {number(self._worst[0], 3)} m {self._worst[1]}"
         self._bar.update(self._task, completed=self._done, told=told)
         now = time.monotonic()

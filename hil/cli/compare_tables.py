@@ -72,9 +72,10 @@ def nominal_cells(comparison: Comparison) -> Cells:
     for contender in comparison.request.contenders:
         result = comparison.nominal.get(contender.name)
         row = [NONE if result is None else number(value(result), digits) for _, _, digits, value in NOMINAL]
-        rows.append((contender.name, *row))
+        failed = result is not None and result.failure
+        rows.append((contender.name + (" *" if failed else ""), *row))
     return Cells(
-        f"{comparison.request.scenario}, nominal train",
+        f"{comparison.request.scenario}, nominal train (*: failed, see below)",
         ("law", *(name for name, *_ in NOMINAL)),
         ("", *(unit for _, unit, *_ in NOMINAL)),
         tuple(rows),
@@ -89,7 +90,7 @@ def spread_cells(comparison: Comparison) -> Cells:
         if not results:
             continue
         stats, nominal = spread(results), comparison.nominal.get(contender.name)
-        first = NONE if nominal is None else number(nominal.metrics.stop_error_m, 3)
+        first = NONE if nominal is None else number(_size(nominal.metrics.stop_error_m), 3)
         rows.append((contender.name, first, *(number(value(stats), d) for _, _, d, value in SPREAD)))
     request = comparison.request
     return Cells(
@@ -137,3 +138,7 @@ def markdown(tables: Sequence[Cells]) -> str:
         lines += [f"## {cells.title}", "", f"| {' | '.join(heads)} |", "|" + "--:|" * len(heads)]
         lines += [*(f"| {' | '.join(row)} |" for row in cells.rows), ""]
     return "\n".join([*lines, EXPLANATION])
+
+
+def _size(value: float | None) -> float | None:
+    return None if value is None else abs(value)

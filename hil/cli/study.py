@@ -29,7 +29,7 @@ WIDE = 130
 def study(
     name: Annotated[str | None, typer.Argument(help="The study; without it they are listed.")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Directory of the results [runs/<time>-study-<name>].")
+        Path | None, typer.Option(help="Directory of the results; default: runs/<time>-study-<name>.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print study.json and nothing else.")] = False,
     show: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer.")] = False,
@@ -53,7 +53,7 @@ def study(
     # Only now: bad input is told before the laws have been loaded and compiled.
     from studies.report import RECORDING_FILE, write
 
-    with _Bar(console) as progress:
+    with _Bar(Console(stderr=True)) as progress:
         result = chosen.run(progress)
         files = write(result, directory, progress)
     if as_json:
@@ -112,7 +112,7 @@ class _Widths:
     def fitting(cls, console: Console, rows: Sequence[Row]) -> _Widths:
         wide = console.width >= WIDE
         unit = max(len(row.unit) for row in rows)
-        room = console.width - unit - 44 - (40 if wide else 0)
+        room = console.width - max(unit, 4) - 46 - (40 if wide else 0)
         return cls(min(max(len(row.quantity) for row in rows), max(room, 20)), max(unit, 4), wide)
 
     def line(

@@ -44,6 +44,8 @@ def test_shipped_laws_stop_within_5_cm_on_the_nominal_train(compared):
         (["--runs", "1", "--set-of", "worst"], ("worst", "spec", "full")),
         (["--set", "plant.train.mass_factor=0"], ("mass_factor", "0", "greater than 0")),
         (["--runs", "-1"], ("--runs", "0")),
+        (["--runs", "1", "--set", "plant.train.mass_factor=1.1"], ("mass_factor", "draws it")),
+        (["--set", "controller.law=pid"], ("controller.law", "--laws")),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments, words):
@@ -69,8 +71,8 @@ def test_ctrl_c_leaves_what_is_computed(tmp_path):
         text=True,
     )
     # It says how far it is every ten seconds; by the first time some runs are done.
-    assert process.stdout is not None
-    said = process.stdout.readline()
+    assert process.stderr is not None
+    said = process.stderr.readline()
     assert "of 501 runs" in said
     process.send_signal(signal.SIGINT)
     begin = time.monotonic()
