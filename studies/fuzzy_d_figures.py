@@ -59,8 +59,9 @@ def _over_time(name: str, title: str, paper: str, runs: Mapping[str, Run], names
     lines = [_line(law, runs[law].time_s, runs[law].speed_mps) for law in names]
     first = runs[names[0]]
     lines.append(Line(f"reference of {TITLES[names[0]]}", "reference", first.time_s, first.reference_mps))
-    changes = first.time_s[np.nonzero(np.diff(first.reference_mps))[0]]
-    curve, out, stop = (float(changes[np.argmax(changes > t)]) for t in (20.0, 90.0, 125.0))
+    changes = [runs[law].time_s[np.nonzero(np.diff(runs[law].reference_mps))[0]] for law in names]
+    curve, out = (float(changes[0][np.argmax(changes[0] > t)]) for t in (20.0, 90.0))
+    stop = min(float(times[np.argmax(times > 125.0)]) for times in changes)  # the fastest one stops first
     end = float(first.time_s[-1])
     panels = [
         Panel(detail, SPEED, lines, x, y)

@@ -72,7 +72,7 @@ class Comparison:
     def add(self, result: TrialResult) -> None:
         """Take a result."""
         name = result.contender.name
-        if result.draw is NOMINAL or result.draw.number == NOMINAL.number:
+        if result.draw.number == NOMINAL.number:
             self.nominal[name] = result
         else:
             self.drawn.setdefault(name, []).append(result)

@@ -33,3 +33,8 @@ def test_an_even_division_has_no_step_too_many():
 def test_an_empty_route_or_step_is_refused(start, end, step):
     with pytest.raises(ProfileError):
         mesh(start, end, [], step)
+
+
+def test_a_step_that_would_fill_the_memory_is_refused():
+    with pytest.raises(ProfileError, match=r"1e-09 must be at least 0\.000931"):
+        mesh(0.0, 931.0, (), 1e-9)
