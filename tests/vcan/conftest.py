@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 GUEST = Path(__file__).parent / "guest"
-BOOT_LIMIT_S = 400
+BOOT_LIMIT_S = 600
 
 
 def vcan_is_up() -> bool:

@@ -9,7 +9,7 @@ import pytest
 HERE = Path(__file__).parent
 
 
-@pytest.mark.timeout(450)
+@pytest.mark.timeout(650)
 def test_socketcan_tests_pass_in_a_kernel_with_vcan(in_guest, tmp_path):
     report = tmp_path / "guest.xml"
     output = in_guest(
