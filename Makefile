@@ -22,8 +22,13 @@ help: ## this list
 run: $(VENV)/.run ## drive a train from station to station in real time; ARGS="…" goes to `hil run`
 	@$(BIN)/hil run $(ARGS)
 
-test: $(VENV)/.dev check ## everything that must hold, from lint to whole runs
+test: $(VENV)/.dev check ## everything that must hold, from lint to whole runs; ARGS="…" goes to pytest
+ifeq ($(strip $(ARGS)),)
+	@$(BIN)/python -m pytest -m "not realtime" --numprocesses auto --maxprocesses 4 --dist worksteal
+	@$(BIN)/python -m pytest -m realtime
+else
 	@$(BIN)/python -m pytest $(ARGS)
+endif
 
 check: $(VENV)/.dev ## ruff, mypy --strict and the import rules
 	@$(BIN)/ruff check
