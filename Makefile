@@ -11,10 +11,10 @@ ARGS   ?=
 
 # Debian packages that some tests need: a software Vulkan driver, to render recordings; a kernel with vcan that
 # boots as an ordinary process, for real SocketCAN where the host has none.
-SYSTEM_PACKAGES := mesa-vulkan-drivers user-mode-linux kmod iproute2 can-utils gcc libc6-dev
+SYSTEM_PACKAGES := mesa-vulkan-drivers user-mode-linux kmod iproute2 can-utils gcc libc6-dev rt-tests stress-ng chromium
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check bench format wheel system-deps pictures clean
+.PHONY: help run test test-vcan check bench format wheel system-deps pictures docs clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -24,17 +24,25 @@ run: $(VENV)/.run ## drive a train from station to station in real time; ARGS="â
 
 test: $(VENV)/.dev check ## everything that must hold, from lint to whole runs; ARGS="â€¦" goes to pytest
 ifeq ($(strip $(ARGS)),)
-	@$(BIN)/python -m pytest -m "not realtime" --numprocesses auto --maxprocesses 4 --dist worksteal
-	@$(BIN)/python -m pytest -m realtime
+	@$(BIN)/python -m pytest -m "not realtime and not needs_vcan" --numprocesses auto --maxprocesses 4 --dist worksteal
+	@$(BIN)/python -m pytest -m "realtime or needs_vcan"
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
 
-check: $(VENV)/.dev ## ruff, mypy --strict and the import rules
+test-vcan: $(VENV)/.dev ## real SocketCAN: natively, or in a kernel that boots as an ordinary process
+	@$(BIN)/python -m pytest tests/vcan $(ARGS)
+
+docs: $(VENV)/.dev ## build the documentation into build/site
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo build/site/index.html
+
+check: $(VENV)/.dev ## ruff, mypy --strict, the import rules and the documentation
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: $(VENV)/.dev ## measure against peers, side by side in one run
 	@$(BIN)/python -m benchmarks $(ARGS)

@@ -14,7 +14,18 @@ from rich.table import Table
 
 from benchmarks.rows import Row
 
-NAMES = ("codec", "protection", "fuzzy", "laws", "profile", "wakeup", "local_bus", "lockstep")
+NAMES = (
+    "codec",
+    "protection",
+    "fuzzy",
+    "laws",
+    "profile",
+    "wakeup",
+    "control_step",
+    "local_bus",
+    "burst",
+    "lockstep",
+)
 
 
 def main() -> int:

@@ -23,6 +23,8 @@ class Row(NamedTuple):
         if not self.peer:
             return "-"
         ratio = self.ours / self.peer
+        if not ratio:
+            return "0"
         return f"{ratio:.3g}" if ratio > 0.1 else f"1/{1.0 / ratio:.3g}"
 
 

@@ -20,7 +20,7 @@ from controller.laws.tables import (
     SmcConfig,
     SpeedTConfig,
 )
-from hil.railway import scenario_table
+from hil.railway import Train, scenario_table
 from hil.railway.files import FileModel, validate
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -147,3 +147,10 @@ class ControllerConfig(FileModel):
     def load(cls, scenario: Path) -> ControllerConfig:
         """Table `[controller]` of a scenario; RailwayDataError: file, key, value, limit in one line."""
         return validate(cls, scenario_table(scenario, "controller"), scenario, "controller")
+
+    def law_picture(self, train: Train) -> dict[str, object]:
+        """The law's inside as plain values, for whoever draws it: :func:`controller.picture.law_picture`."""
+        from controller.picture import law_picture  # it needs this module
+        from controller.planning import drive_of
+
+        return law_picture(self, drive_of(train))

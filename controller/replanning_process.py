@@ -22,11 +22,10 @@ from pathlib import Path
 from controller.config import ControllerConfig
 from controller.profile.reference import Columns, ReferenceTable
 from controller.replanning import Answer, Replanner, Request, Solved, Start, past_s
+from hil.node.start_limit import start_limit_s
 from hil.node.timing import ring_directory
 from hil.railway import Journey, SpeedLimit, load_journey
 
-START_TIMEOUT_S = 60.0
-"""The first start compiles the solver."""
 MOST_RESTRICTIONS = 8
 SLOTS = 2
 LONGER = 5
@@ -173,13 +172,14 @@ class ChildSource:
         if stdout is None:
             return
         os.set_blocking(stdout.fileno(), False)
-        deadline = time.monotonic() + START_TIMEOUT_S
+        limit_s = start_limit_s()
+        deadline = time.monotonic() + limit_s
         said = b""
         while b"\n" not in said:
             said += stdout.read() or b""
             ended = self._process.poll() is not None
             if ended or time.monotonic() > deadline:
-                what = "ended at once" if ended else f"was not ready after {START_TIMEOUT_S:g} s"
+                what = "ended at once" if ended else f"was not ready after {limit_s:g} s"
                 self.close()
                 raise PlanningError(
                     f"the planning process {what}; controller.replanning.enabled = false drives without it"

@@ -15,7 +15,7 @@ from controller.config import ControllerConfig
 from controller.planning import Plan, drive_delay, reference_table
 from controller.profile.comfort import Comfort
 from controller.profile.reference import ReferenceTable
-from controller.replanning import PlanSource, Request, Start, past_s
+from controller.replanning import Answer, PlanSource, Request, Start, past_s
 from hil.railway import Journey, SpeedLimit
 
 NS_PER_S = 1_000_000_000
@@ -272,6 +272,27 @@ class Timetable:
             clock_s = self.table.plan_time_s(train.position_m, self.since_s(now_ns))
             return clock_s + self._lead_s <= request.clock_s
         return abs(train.speed_mps - request.speed_mps) <= FITS_MPS
+
+
+class PlansOf:
+    """The plan source of a twin: what another timetable has taken, and nothing else."""
+
+    def __init__(self, other: Timetable) -> None:
+        self._other = other
+
+    def post(self, request: Request) -> None:
+        """The other one has asked already."""
+
+    def poll(self, number: int) -> Answer | None:
+        """The plan in use there, if it is the answer to the request of this number."""
+        other = self._other
+        return Answer(number, other.table) if other.plan_number == number else None
+
+    def work(self) -> None:
+        """Nothing to do."""
+
+    def close(self) -> None:
+        """Nothing to close."""
 
 
 def _ns(seconds: float) -> int:

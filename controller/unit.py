@@ -20,7 +20,8 @@ from controller.profile import ProfileError
 from controller.replanning import PlanSource, Replanner, Start, SynchronousSource
 from controller.replanning_process import ChildSource
 from controller.supervision import Observation, Reaction, Supervisor
-from controller.timetable import Movement, Timetable
+from controller.timetable import Movement, PlansOf, Timetable
+from controller.warm_up import get_under_way
 from hil.canbus.contract import Contract, ContractError
 from hil.node.inbox import Inbox, Received
 from hil.node.outbox import Outbox, check_period
@@ -95,6 +96,7 @@ class ControllerUnit:
         contract.require((*RECEIVES, *SENDS))
         profile = first.profile
         self.period_ns = round(config.period_s * NS_PER_S)
+        self._made_of = (journey, config, first, contract)
         self.profile = profile
         self.mode = Mode.STANDBY
         self.scenario: Path | None = None
@@ -193,10 +195,17 @@ class ControllerUnit:
         self._outputs.leave(outbox, emergency=not standing)
 
     def warm_up(self) -> None:
-        """Compile what is compiled on first use."""
+        """Compile what is compiled on first use, and let a twin of this unit get under way."""
         reference = self.timetable.table.at(self._position_m, 1.0)
         self._law.step(reference, Measurement(self._position_m, 0.0, -1.0, 1.0), self._period_s)
         self._law.reset()
+        get_under_way(self.twin(), self._made_of[-1], self._position_m)
+
+    def twin(self) -> ControllerUnit:
+        """Another unit for the same journey that takes over the plans of this one and asks for none."""
+        twin = ControllerUnit(*self._made_of, PlansOf(self.timetable))
+        twin.timetable.table = self.timetable.table
+        return twin
 
     def _bind(self, inbox: Inbox) -> None:
         self._inbox = inbox

@@ -165,7 +165,7 @@ class PlantUnit:
     def warm_up(self) -> None:
         """Compile or load the kernel, and let a twin of this unit run some cycles."""
         self._dynamics.warm_up()
-        twin = PlantUnit(self.journey, self.config, self._contract)
+        twin = self.twin()
         inbox = Inbox(self._contract, twin.receives)
         outbox = Outbox(self._contract, twin.nodes, twin.period_ns)
         for cycle in range(WARM_UP_CYCLES):
@@ -173,6 +173,10 @@ class PlantUnit:
             twin.step(cycle * twin.period_ns, inbox, outbox)
             twin.probe()
             outbox.collect(cycle)
+
+    def twin(self) -> PlantUnit:
+        """Another plant of the same journey, as it was at the start."""
+        return PlantUnit(self.journey, self.config, self._contract)
 
     def _due_cycles(self, now_ns: int) -> int:
         """Cycles to integrate so that the train's time follows the clock: 1, or more after a skip."""

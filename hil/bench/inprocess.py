@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from hil.bench.braking import BY_THE_USER, Cut
 from hil.bench.loss import frame_loss
 from hil.bench.outcome import Interrupted, Outcome, RunOptions, Show
-from hil.bench.processes import recording_properties
+from hil.bench.recording_properties import recording_properties
 from hil.bench.shared import shared_folder
 from hil.bench.sync import LAST_IN_CHAIN, BenchNode
 from hil.bench.turns import NODES, garbage_collection_frozen, take_turns
@@ -65,6 +65,7 @@ def run_in_one_process(
                     tick_ns=options.tick_ns,
                     rings={name: shared / f"{name}.ring" for name in NODES},
                     properties=recording_properties(options),
+                    logs=options.logs,
                     viewer_url=start_viewer() if options.view else None,
                 ),
             )

@@ -30,6 +30,7 @@ class RunOptions:
     view: bool = False
     priority: int | None = 50  # SCHED_FIFO priority of the controller; None: do not ask
     dbc: Path | None = None
+    logs: tuple[str, ...] = ()  # formats of the frame log beside BLF
 
     @property
     def mode(self) -> str:
@@ -68,6 +69,8 @@ class Outcome:
     """Likewise of the recorder."""
     bench_dropped: int = 0
     bench_sent: int = 0
+    wire: Mapping[str, Any] = field(default_factory=dict)
+    """The wire of a local bus with a bit rate while the train drove: `hil.bench.wire.traffic_between`."""
     lost_on_purpose: int = 0
     """Frames that the bench itself took away (`[bus] loss_probability`)."""
 

@@ -20,16 +20,18 @@ from hil.bench.braking import BY_THE_USER, Cut
 from hil.bench.children import Child, read_json
 from hil.bench.errors import Aborted, BenchError
 from hil.bench.outcome import Interrupted, Outcome, RunOptions, Show
+from hil.bench.recording_properties import recording_properties
 from hil.bench.shared import BusClaim, shared_folder
 from hil.bench.sync import BenchNode
 from hil.bench.watch import Ending, Watch
+from hil.bench.wire import hub_arguments, timed_bus, traffic_between, wire_counters
 from hil.canbus.contract import Contract
 from hil.canbus.errors import BusError
 from hil.canbus.transport import BusOptions, Transport
 from hil.node.inbox import bus_identifier
+from hil.node.start_limit import start_limit_s
 
-START_TIMEOUT_S = 60.0
-"""A node compiles its numeric kernels on its first start; later starts take a second or two."""
+START_TIMEOUT_S = start_limit_s()
 
 NODES = ("plant_sim", "controller")
 """In the order in which they are started."""
@@ -61,7 +63,7 @@ class _ProcessRun:
         self._children: dict[str, Child] = {}
         self._codes: dict[str, int] = {}
         self._claim = BusClaim()
-        self._bus = options.bus
+        self._bus = timed_bus(options)
         self._watch = Watch(contract, time_limit_s=options.time_limit_s)
 
     def run(self) -> Outcome:
@@ -77,12 +79,14 @@ class _ProcessRun:
             bench = BenchNode(transport, self._contract, self._watch, tick_s=self._options.tick_s)
             self._start(shared)
             started = datetime.now(UTC)
+            wire = wire_counters(self._bus)
             clock = time.monotonic()
             if self._options.lockstep:
                 ending, simulated_s = self._drive_lockstep(bench)
             else:
                 ending, simulated_s = self._drive_real_time(bench)
             wall_s = time.monotonic() - clock
+            wire = traffic_between(wire, wire_counters(self._bus))
             self._end_everything()
             return Outcome(
                 ending=ending,
@@ -95,6 +99,7 @@ class _ProcessRun:
                 recorder=self._last_status(shared, "recorder"),
                 bench_dropped=transport.dropped,
                 bench_sent=transport.sent,
+                wire=wire,
             )
 
     def _last_status(self, shared: Path, name: str) -> dict[str, Any]:
@@ -126,7 +131,7 @@ class _ProcessRun:
         return bus
 
     def _start_hub(self, bus: BusOptions) -> None:
-        arguments = ["--channel", bus.channel, "--parent-pipe"]
+        arguments = ["--channel", bus.channel, "--parent-pipe", *hub_arguments(bus)]
         if self._priority("hub"):
             arguments += ["--priority", str(self._priority("hub"))]
         hub = Child("hub", "hil.canbus.local", arguments, logs=self._options.out / "logs")
@@ -166,6 +171,8 @@ class _ProcessRun:
         recorder += ["--status", str(shared / "recorder.json"), "--tick-s", repr(options.tick_s)]
         for name in ("controller", "plant_sim"):
             recorder += ["--ring", f"{name}={shared / name}.ring"]
+        for kind in options.logs:
+            recorder += ["--log", kind]
         if options.view:
             recorder.append("--view")
         self._spawn("recorder", "hil.record", recorder).wait_for_line(
@@ -175,7 +182,7 @@ class _ProcessRun:
             arguments = ["--scenario", str(scenario), *common]
             arguments += ["--ring", f"{shared / name}.ring", "--status", str(shared / f"{name}.json")]
             arguments += ["--tick-ns", str(options.tick_ns), "--priority", str(self._priority(name))]
-            self._spawn(name, name, arguments)
+            self._spawn(name, name, [*arguments, *options.scenario.timing.arguments()])
         for name in NODES:
             status = shared / f"{name}.json"
             self._children[name].wait_for_file(status, "state", "ready", START_TIMEOUT_S, self._cancelled)
@@ -287,20 +294,3 @@ class _ProcessRun:
             child = self._children.pop(name, None)
             if child is not None:
                 self._codes[name] = child.end(timeout_s=60.0 if name == "recorder" else 10.0)
-
-
-def recording_properties(options: RunOptions) -> dict[str, Any]:
-    """What a recording says of itself beside its signals."""
-    journey = options.scenario.journey
-    return {
-        "scenario": options.scenario.name,
-        "title": options.scenario.title,
-        "law": options.scenario.law,
-        "seed": journey.seed,
-        "mode": options.mode,
-        "line": journey.line.name,
-        "train": journey.train.name,
-        "origin_m": journey.origin.position_m,
-        "destination_m": journey.destination.position_m,
-        "timetable_s": journey.time_s,
-    }

@@ -17,6 +17,7 @@ from hil.bench.outcome import Interrupted, RunOptions, Show
 from hil.bench.processes import run_in_processes
 from hil.bench.summary import summarise
 from hil.canbus.contract import Contract
+from hil.record.about import add_verdict
 
 EXIT_PASSED, EXIT_FAILED, EXIT_DIED = 0, 1, 3
 
@@ -36,6 +37,7 @@ def run_scenario(options: RunOptions, *, show: Show) -> dict[str, Any]:
         summary = summarise(options, outcome, contract)
         (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         write_junit(summary, options.out / "junit.xml")
+        add_verdict(options.out / "run.rrd", summary)
     return summary
 
 

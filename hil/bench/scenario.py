@@ -1,8 +1,8 @@
 """A scenario: one TOML file that says which train runs where, under which law, and what passes.
 
 The file has one table per reader. `[journey]` is read by both nodes and the bench, `[controller]`
-and `[plant]` by their node alone, `[bus]` and `[verdict]` by the bench. The bench validates all of
-them before it starts anything: the nodes' tables through the entry points
+and `[plant]` by their node alone, `[bus]`, `[timing]` and `[verdict]` by the bench. The bench
+validates all of them before it starts anything: the nodes' tables through the entry points
 `hil.node.configuration`, so that it need not import the nodes.
 """
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field
@@ -55,8 +55,40 @@ class BusTable(BaseModel):
     interface: str | None = None
     channel: str | None = None
     bitrate: Annotated[int, Field(gt=0)] | None = None
+    data_bitrate: Annotated[int, Field(gt=0)] | None = None
+    """Of CAN FD frames with bit-rate switch [bit/s]."""
     loss_probability: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Frames lost on purpose, seeded by `journey.seed`; in lockstep within one process only."""
+
+
+class TimingTable(BaseModel):
+    """The table `[timing]`: how the nodes keep time in real time, and what an overload does.
+
+    An overload is a release that comes before the work of the cycle before it has ended. The node skips
+    whole cycles and keeps its phase; above a limit it halts with safe outputs. What a run may miss and still
+    pass is `[verdict]`. The options are those of Simulink Real-Time's task overload.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    startup_grace_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.2
+    """Overloads so soon after a node's first cycle are counted apart and never halt it."""
+    max_overloads: Annotated[int, Field(ge=0)] | None = None
+    """In all, per node. None: it never halts."""
+    max_consecutive_overloads: Annotated[int, Field(ge=0)] | None = None
+    spin_us: Annotated[int, Field(ge=0)] | Literal["auto"] = "auto"
+    """For how long before a deadline a node polls the clock; 0: it only sleeps."""
+    rehearsal: bool = True
+    """Whether a twin of each unit runs before each deadline, so that the caches are warm."""
+
+    def arguments(self) -> list[str]:
+        """The command line of a node that keeps time like this."""
+        arguments = ["--overload-grace", repr(self.startup_grace_s), "--spin-us", str(self.spin_us)]
+        if self.max_overloads is not None:
+            arguments += ["--max-misses", str(self.max_overloads)]
+        if self.max_consecutive_overloads is not None:
+            arguments += ["--max-consecutive-misses", str(self.max_consecutive_overloads)]
+        return arguments if self.rehearsal else [*arguments, "--no-rehearsal"]
 
 
 class _File(BaseModel):
@@ -71,6 +103,7 @@ class _File(BaseModel):
     plant: Tables = Field(default_factory=dict)
     bus: BusTable = BusTable()
     verdict: Limits = Limits()
+    timing: TimingTable = TimingTable()
 
 
 @dataclass(frozen=True)
@@ -82,6 +115,7 @@ class Scenario:
     title: str
     limits: Limits
     bus: BusTable
+    timing: TimingTable
     journey: Journey
     tables: Tables = field(repr=False)  # the whole file, overrides applied, paths absolute
     configurations: Mapping[str, Any] = field(repr=False)  # by node, as the node itself reads its table
@@ -133,6 +167,7 @@ def load_scenario(name_or_path: str, overrides: Sequence[str] = (), *, scratch: 
         title=parsed.title,
         limits=parsed.verdict,
         bus=parsed.bus,
+        timing=parsed.timing,
         journey=journey,
         tables=tables,
         configurations=configurations,

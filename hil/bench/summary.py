@@ -188,10 +188,9 @@ def _bus(options: RunOptions, outcome: Outcome) -> dict[str, Any]:
     return {
         "interface": outcome.bus.interface,
         "channel": outcome.bus.channel,
-        # The local bus models no bit rate: to repeat the one asked for would claim one.
-        "bitrate": None if outcome.bus.interface == "hil" else outcome.bus.bitrate,
+        "bitrate": outcome.wire.get("bitrate", outcome.bus.bitrate),
         "frames": outcome.recorder.get("frames", 0),
-        "load": None,  # a bus without a bit rate has none
+        "load": outcome.wire.get("load"),  # None: nobody measured it
         "dropped": frames_lost(outcome),
         "lost_on_purpose": outcome.lost_on_purpose,
         "e2e": _e2e(outcome),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from hil.canbus.contract import Contract, MessageCodec
 from hil.node.inbox import bus_identifier
 
-WATCHED = ("ATO_Status", "ATO_Position", "ODO_Motion")
+WATCHED = ("ATO_Status", "ATO_Position", "ODO_Motion", "ATP_Permission", "ATO_Timing")
 
 SETTLE_S = 1.5
 """A train that has held this long at the stop has arrived: blending and jerk have died out."""
@@ -30,6 +30,8 @@ class View:
     mode: str = "-"
     supervision: str = "-"
     law: str = "-"
+    permitted_speed_mps: float | None = None  # None before the protection has said anything
+    deadline_misses: int = 0
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,8 @@ class Watch:
             mode=self._name("ATO_Status", "Mode", status),
             supervision=self._name("ATO_Status", "Supervision", status),
             law=self._name("ATO_Status", "Law", status),
+            permitted_speed_mps=values["ATP_Permission"].get("PermittedSpeed"),
+            deadline_misses=int(values["ATO_Timing"].get("DeadlineMisses", 0)),
         )
 
     def ending(self, view: View, *, controlled: bool = True) -> Ending | None:

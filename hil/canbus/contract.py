@@ -53,7 +53,7 @@ class Contract:
         ContractError: missing, unreadable, not a DBC, or two messages of one name or identifier.
         """
         path = Path(dbc.path() if path is None else path)
-        database = _database(path)
+        database = read_database(path)
         nodes = tuple(node.name for node in database.nodes)
         messages: dict[str, MessageCodec] = {}
         unsupported: dict[str, str] = {}
@@ -98,7 +98,8 @@ class Contract:
             raise ContractError(f"{self.path.name}: no {wanted}; it has {', '.join(self.messages) or 'none'}")
 
 
-def _database(path: Path) -> cantools.database.Database:
+def read_database(path: Path) -> cantools.database.Database:
+    """A DBC file as cantools reads it. ContractError: missing, unreadable, or not a DBC of a CAN bus."""
     try:
         content = path.read_bytes()
     except FileNotFoundError:
@@ -129,7 +130,7 @@ def _message(message: Message, nodes: tuple[str, ...]) -> MessageCodec:
             f"{message.name}: the 29-bit identifier 0x{message.frame_id:X} is not supported (below 0x800)"
         )
     sender = next((name for name in message.senders if name != NOBODY), "")
-    cycle_ms, timeout_ms = message.cycle_time or 0, _attribute(message, "TimeoutMs", 0)
+    cycle_ms, timeout_ms = message.cycle_time or 0, message_attribute(message, "TimeoutMs", 0)
     signals = tuple(_signal(message, signal) for signal in message.signals)
     return MessageCodec(
         name=message.name,
@@ -178,7 +179,7 @@ def _signal(message: Message, signal: Signal) -> SignalSpec:
         start=0,
         comment=signal.comment or "",
         big_endian=signal.byte_order == "big_endian",
-        role=_attribute(signal, "E2ERole", "NONE"),
+        role=message_attribute(signal, "E2ERole", "NONE"),
     )
     low, high = spec.raw_limits
     if low > high:
@@ -204,7 +205,7 @@ def _range(signal: Signal) -> tuple[float, float]:
 
 
 def _protection(message: Message, signals: tuple[SignalSpec, ...]) -> ProtectionSpec | None:
-    profile = _attribute(message, "E2EProfile", "NONE")
+    profile = message_attribute(message, "E2EProfile", "NONE")
     roles = {signal.role: signal for signal in signals if signal.role != "NONE"}
     if profile == "NONE":
         if roles:
@@ -213,7 +214,10 @@ def _protection(message: Message, signals: tuple[SignalSpec, ...]) -> Protection
             )
         return None
     try:
-        data_id, max_delta = _attribute(message, "E2EDataID", 0), _attribute(message, "E2EMaxDeltaCounter", 3)
+        data_id, max_delta = (
+            message_attribute(message, "E2EDataID", 0),
+            message_attribute(message, "E2EMaxDeltaCounter", 3),
+        )
         protection = ProtectionSpec(profile, data_id, max_delta)
     except ContractError as error:
         raise ContractError(f"{message.name}: {error}") from None
@@ -229,7 +233,7 @@ def _protection(message: Message, signals: tuple[SignalSpec, ...]) -> Protection
     return protection
 
 
-def _attribute(owner: Message | Signal, name: str, default: Any) -> Any:
+def message_attribute(owner: Message | Signal, name: str, default: Any) -> Any:
     """Value of a DBC attribute, else its default in the file, else `default`; an enumeration as its text."""
     specifics = owner.dbc
     definitions = {} if specifics is None else specifics.attribute_definitions

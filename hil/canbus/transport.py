@@ -1,9 +1,9 @@
 """A node's way to the bus: opens any python-can bus, sends and drains data frames, counts what is lost.
 
-The local bus has a fast path without `can.Message`; every other interface goes through `can.Bus`. Identifiers
-are filtered where it costs least: in the hub, in the kernel, else here. Never by python-can's `can_filters`
-on an interface without a filter of its own: its `recv(0)` says "nothing there" at the first frame it leaves
-out, though others wait behind (python-can, pull request 1686).
+The local bus and SocketCAN have a fast path without `can.Message`; all other interfaces go through `can.Bus`.
+Identifiers are filtered where it costs least: in the hub, in the kernel, else here. Never by python-can's
+`can_filters` on an interface without a filter of its own: its `recv(0)` says "nothing there" at the first
+frame it leaves out, though others wait behind (python-can, pull request 1686).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 import can
 
+from hil.canbus.error_frames import ErrorFrame, State
 from hil.canbus.errors import BusError, BusLost, BusOptionsError, BusUnavailable, TransmitQueueFull
 from hil.canbus.foreign import ForeignPort
 from hil.canbus.frame import EXTENDED_ID_FLAG, Frame
@@ -32,6 +33,8 @@ from hil.canbus.options import (
     is_can_interface_up,
     options_from_namespace,
 )
+from hil.canbus.periodic import LoopTask, PeriodicTask, lease_of
+from hil.canbus.socketcan import SocketCanPort
 
 __all__ = [
     "EXTENDED_ID_FLAG",
@@ -76,15 +79,16 @@ class Port(Protocol):
 class Transport:
     """A node on a bus. Opened by `Transport.open`; a context manager.
 
-    `sent` and `received` count data frames, `dropped` those that are known to be lost, `error_frames` the
-    error frames met. Remote frames are left out.
+    `sent` and `received` count data frames, `dropped` those that are known to be lost, `not_sent` those that
+    were discarded because the controller was bus-off, `error_frames` the error frames met. Remote frames are
+    left out.
     """
 
     def __init__(self, port: Port, options: BusOptions, *, send_timeout_s: float = SEND_TIMEOUT_S) -> None:
         self.options = options
         self.send_timeout_s = send_timeout_s
-        self.sent = 0
         self.received = 0
+        self._taken = 0
         self._port = port
 
     @classmethod
@@ -115,7 +119,7 @@ class Transport:
             self._port.send_raw(can_id, data, self.send_timeout_s)
         except can.CanError as error:
             raise _translated(error, self.options) from None
-        self.sent += 1
+        self._taken += 1
 
     def send_all(self, frames: Sequence[tuple[int, bytes | bytearray]]) -> None:
         """Send data frames in this order: what a node says in one cycle. Raises as `send`.
@@ -126,7 +130,23 @@ class Transport:
             self._port.send_raw_all(frames, self.send_timeout_s)
         except can.CanError as error:
             raise _translated(error, self.options) from None
-        self.sent += len(frames)
+        self._taken += len(frames)
+
+    def send_periodic(
+        self, can_id: int, data: bytes | Sequence[bytes], period_s: float, *, lease_s: float | None = None
+    ) -> PeriodicTask:
+        """Send a data frame, or several in turn, every `period_s` while the caller keeps the task alive.
+
+        On SocketCAN the kernel sends, at its own time; it stops `lease_s` (default: three periods) after the
+        last `keep_alive`. Elsewhere `keep_alive` sends when it is due. For data that need no computing and no
+        E2E protection. Ends with this transport. Raises as `send`; ValueError for a time that is none.
+        """
+        if isinstance(self._port, SocketCanPort):
+            return self._port.send_periodic(can_id, data, period_s, lease_s)
+        period_ns, _ = lease_of(period_s, lease_s)
+        task = LoopTask(self.send, can_id, data, period_ns)
+        task.keep_alive()
+        return task
 
     def drain(self) -> list[Frame]:
         """All frames that wait, oldest first, without blocking; raises BusLost when the bus has ended."""
@@ -148,14 +168,39 @@ class Transport:
         return frame
 
     @property
+    def sent(self) -> int:
+        """Data frames that the bus has taken, without the kernel's periodic ones."""
+        return self._taken - self.not_sent
+
+    @property
+    def not_sent(self) -> int:
+        """Data frames discarded while the controller was bus-off."""
+        return self._port.not_sent if isinstance(self._port, SocketCanPort) else 0
+
+    @property
     def error_frames(self) -> int:
         """Error frames met so far."""
         return self._port.error_frames
 
     @property
+    def bus_state(self) -> State:
+        """State of the bus controller, as far as the error frames read so far tell it."""
+        return getattr(self._port, "bus_state", State.ACTIVE)
+
+    @property
+    def error_counters(self) -> tuple[int, int] | None:
+        """The controller's transmit and receive error counter (TEC, REC), None: never told."""
+        return getattr(self._port, "error_counters", None)
+
+    @property
+    def last_error(self) -> ErrorFrame | None:
+        """The last error frame, decoded; None: there was none, or the interface keeps none."""
+        return getattr(self._port, "last_error", None)
+
+    @property
     def dropped(self) -> int:
         """Frames known to be lost so far (the local bus loses none)."""
-        return self._port.dropped if isinstance(self._port, ForeignPort) else 0
+        return self._port.dropped if isinstance(self._port, ForeignPort | SocketCanPort) else 0
 
     def close(self) -> None:
         """Leave the bus. May be called several times."""
@@ -191,7 +236,7 @@ def _open_port(options: BusOptions, name: str, wanted: frozenset[int] | None) ->
         return HilBus(options.channel, can_filters=_exact_filters(wanted), **{"name": name, **keywords})
     if options.interface == "socketcan":
         _check_socketcan(options)
-        keywords["can_filters"] = _exact_filters(wanted)
+        return SocketCanPort(options.channel, wanted, fd=options.fd, extra=options.extra)
     bus = can.Bus(options.channel, options.interface, ignore_config=True, **keywords)
     return ForeignPort(bus, wanted, fd=options.fd, hears_itself=options.interface == "udp_multicast")
 

@@ -10,31 +10,42 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import typer
 
 from hil import __version__
+from hil.cli.teaching import summary_of, teach, teach_group
 
 COMMANDS = {
     "run": "run",
     "list": "list_",
     "view": "view",
+    "replay": "replay",
     "profile": "profile",
     "study": "study",
     "compare": "compare_",
+    "timing": "timing",
+    "export": "export",
+    "query": "query",
+    "report": "report",
     "doctor": "doctor",
+    "bus": "bus",
 }
 """Function of each command, in the module of that name. Only the one asked for is imported: a viewer
 library and a compiler are not loaded to say that a file is missing.
 """
 
+COMPLETING = "_HIL_COMPLETE"
+"""Set in the environment by the shell's completion."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; errors are one line on standard error and an exit code."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    words = [*(sys.argv[1:] if arguments is None else arguments)]
     try:
-        code = _app(words)(args=words, standalone_mode=False, prog_name="hil")
+        code = _app(_typed(words))(args=words, standalone_mode=False, prog_name="hil")
         return code if isinstance(code, int) else 0
     except typer.Exit as stop:
         return stop.exit_code
@@ -69,11 +80,35 @@ def _app(words: Sequence[str]) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     asked = next((word for word in words if not word.startswith("-")), None)
-    for name in [asked] if asked in COMMANDS else COMMANDS:
-        module = import_module(f"hil.cli.{name}")
-        app.command(name=name)(getattr(module, COMMANDS[str(name)]))
+    if asked in COMMANDS:
+        _add(app, str(asked))
+    else:
+        for name, function in COMMANDS.items():
+            path = Path(__file__).parent / f"{name}.py"
+            app.command(name=name, help=summary_of(path, function))(_not_loaded)
     app.callback()(_options)
     return app
+
+
+def _add(app: typer.Typer, name: str) -> None:
+    """Import a command, or a group of commands."""
+    command = getattr(import_module(f"hil.cli.{name}"), COMMANDS[name])
+    if isinstance(command, typer.Typer):
+        teach_group(command)
+        app.add_typer(command, name=name)
+    else:
+        app.command(name=name, help=teach(command))(command)
+
+
+def _not_loaded() -> None:
+    """Stands for a command in the list of all; the one that is to run is imported instead."""
+
+
+def _typed(words: Sequence[str]) -> Sequence[str]:
+    """The words of the command line; while the shell completes one, those that stand there so far."""
+    if COMPLETING not in os.environ:
+        return words
+    return (os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or "").split()[1:]
 
 
 def _version(asked: bool) -> None:

@@ -18,6 +18,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from hil.cli.doctor_vcan import Repair, ThisMachine, repair
 from hil.record.viewer import display_missing
 
 
@@ -32,19 +33,46 @@ class Finding:
 
 
 def doctor(
+    fix_vcan: Annotated[
+        bool, typer.Option("--fix-vcan", help="Bring a virtual CAN interface up (root), or say how.")
+    ] = False,
+    channel: Annotated[str, typer.Option(help="The interface that --fix-vcan brings up.")] = "vcan0",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
-) -> None:
+) -> int:
     """Say what this machine can do for the bench, and how to get the rest."""
+    if fix_vcan:
+        return _fix_vcan(channel, as_json=as_json)
     findings = [check() for check in CHECKS]
     if as_json:
         typer.echo(json.dumps([asdict(finding) for finding in findings], indent=2))
-        return
+        return 0
     colour = {"yes": "green", "partly": "yellow", "no": "red"}
     table = Table("", "", "found", "to get it", box=None, pad_edge=False)
     for finding in findings:
         state = f"[{colour[finding.state]}]{finding.state}[/]"
         table.add_row(f"[bold]{finding.what}[/bold]", state, finding.detail, finding.remedy)
     Console().print(table)
+    return 0
+
+
+def _fix_vcan(channel: str, *, as_json: bool) -> int:
+    """Exit code 0: it is up; 3: it is not, the last line says what to do."""
+    done = repair(channel, ThisMachine())
+    if as_json:
+        typer.echo(json.dumps(done.as_json(), indent=2))
+    else:
+        _show_repair(done)
+    return 0 if done.up else 3
+
+
+def _show_repair(done: Repair) -> None:
+    for step in done.steps:
+        mark = {"done": "done   ", "failed": "failed ", "needed": "sudo "}[step.state]
+        typer.echo(f"{mark}{step}{f'  ({step.detail})' if step.detail else ''}")
+    if done.up:
+        typer.echo(f"{done.channel} is up: hil run -i socketcan -c {done.channel}")
+    else:
+        typer.echo(f"hil doctor: {done.channel} is not up: {done.remedy}", err=True)
 
 
 def local_bus() -> Finding:
@@ -58,10 +86,7 @@ def local_bus() -> Finding:
 
 def socketcan() -> Finding:
     """SocketCAN in the kernel, and a vcan0 that is up."""
-    remedy = (
-        "sudo modprobe vcan && sudo ip link add dev vcan0 type vcan && sudo ip link set up vcan0"
-        "  (the local bus needs none of it)"
-    )
+    remedy = "sudo hil doctor --fix-vcan  (the local bus needs none of it)"
     if not hasattr(socket, "AF_CAN"):
         return Finding(
             "SocketCAN", "no", f"{platform.system()}: Python here has no AF_CAN", "a Linux machine"

@@ -16,7 +16,12 @@ from hil.railway.library import list_lines, list_scenarios, list_trains
 def list_(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> None:
-    """List the shipped scenarios, lines and trains, and the control laws."""
+    """List the shipped scenarios, lines and trains, and the control laws.
+
+    [bold]hil list[/bold]           what hil run, hil profile and --law take
+
+    [bold]hil list --json[/bold]    for scripts
+    """
     found = {
         "scenarios": {entry.name: entry.title for entry in list_scenarios()},
         "lines": {entry.name: entry.title for entry in list_lines()},

@@ -18,6 +18,7 @@ from hil.bench.outcome import RunOptions
 from hil.bench.scenario import Scenario, load_scenario
 from hil.canbus.transport import BusOptions, add_bus_arguments, default_options, options_from_namespace
 from hil.cli.progress import Progress
+from hil.record.log_formats import check_formats
 from hil.record.viewer import display_missing
 
 DEFAULT_SCENARIO = "cat_linh_la_thanh"
@@ -51,6 +52,10 @@ def run(
         typer.Option(
             "--bus-kwargs", metavar="KEY=VALUE", help="More options of the interface, as in python-can."
         ),
+    ] = None,
+    log: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FORMAT", help="Frame log beside frames.blf: mf4, asc, log (candump) or trc."),
     ] = None,
     dbc: Annotated[Path | None, typer.Option(help="Another DBC with the bench's messages.")] = None,
     priority: Annotated[
@@ -93,6 +98,7 @@ def run(
         view=show_live,
         priority=priority or None,
         dbc=dbc,
+        logs=check_formats(log or ()),
     )
     _announce(console, options)
     # Only now: bad input is told before the recording library has been loaded.
@@ -106,6 +112,7 @@ def run(
         report(console, summary, directory)
     if summary["ended"] == "died":
         typer.echo(f"hil run: {summary['ended_because']}", err=True)
+    _write_html(console, directory)
     return exit_code(summary)
 
 
@@ -123,6 +130,9 @@ def bus_options(
     bitrate = bitrate if bitrate is not None else scenario.bus.bitrate
     if bitrate is not None and bitrate <= 0:
         raise ScenarioError(f"--bitrate {bitrate}: must be greater than 0 bit/s")
+    data_bitrate = scenario.bus.data_bitrate
+    if data_bitrate is not None and not any(word.startswith("data_bitrate=") for word in bus_kwargs):
+        bus_kwargs = [*bus_kwargs, f"data_bitrate={data_bitrate}"]
     if interface is None and channel is None and bitrate is None and not fd and not bus_kwargs:
         return default_options()
     arguments: list[str] = []
@@ -165,6 +175,19 @@ def report(console: Console, summary: dict[str, Any], directory: Path) -> None:
     )
 
 
+def _write_html(console: Console, directory: Path) -> None:
+    """report.html, after the verdict has been told: what goes wrong here takes nothing away from the run."""
+    try:
+        from hil.bench.report import write_report
+
+        path = write_report(directory).path
+    except (Exception, KeyboardInterrupt) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        typer.echo(f"hil run: no report.html: {reason} (again: hil report {directory})", err=True)
+    else:
+        console.print(f"report: {path}", highlight=False, soft_wrap=True, markup=False)
+
+
 def _timing_lines(console: Console, summary: dict[str, Any]) -> None:
     if summary["mode"] == "lockstep":
         return
@@ -194,9 +217,10 @@ def _announce(console: Console, options: RunOptions) -> None:
         soft_wrap=True,
     )
     console.print("[dim]starting (the very first start compiles: some seconds more)[/dim]", highlight=False)
-    if bus.interface == "hil" and bus.bitrate is not None:
+    if bus.interface == "hil" and bus.bitrate is not None and options.lockstep:
         console.print(
-            f"the local bus models no bit rate: frames go as fast as they can, not at {bus.bitrate} bit/s",
+            "lockstep: time is not the wall clock, so frames take no time on the wire:"
+            f" {bus.bitrate} bit/s left out",
             style="yellow",
             soft_wrap=True,
         )

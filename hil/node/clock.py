@@ -11,8 +11,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from hil.canbus.frame import Frame
+from hil.node.inbox import NO_TIMING
+from hil.node.spin import SpinChoice, choose_spin
 
 if TYPE_CHECKING:
+    from hil.node.rehearsal import Rehearsal
     from hil.node.unit import FrameLink
 
 __all__ = [
@@ -114,8 +117,10 @@ def realtime_offset_ns(
 class RealTimeClock:
     """Absolute deadlines on the grid k*period + phase of CLOCK_MONOTONIC.
 
-    Sleeps until `spin_ns` before the deadline and polls the clock for the rest: a wake-up latency of a
-    microsecond instead of tens, for spin/period of one core. `spin_ns=0` is a plain absolute sleep.
+    Sleeps until shortly before the deadline and polls the clock for the rest: a wake-up latency of a
+    microsecond instead of tens, for spin/period of one core. `spin` says how long before; without it it is
+    `spin_ns`, fixed, and 0 is a plain absolute sleep. With a `rehearsal` the sleep ends sooner by its
+    lead: what waits on the transport is taken then, and the rehearsal run, if there is time for it.
     """
 
     kind = "realtime"
@@ -130,6 +135,8 @@ class RealTimeClock:
         *,
         transport: FrameLink | None = None,
         realtime: Callable[[], int] = time.time_ns,
+        spin: SpinChoice | None = None,
+        rehearsal: Rehearsal | None = None,
     ) -> None:
         if period_ns <= 0:
             raise ValueError(f"period_ns: {period_ns} must be greater than 0")
@@ -137,7 +144,9 @@ class RealTimeClock:
             raise ValueError(f"spin_ns: {spin_ns} must be between 0 and the period, {period_ns}")
         self.period_ns = period_ns
         self.phase_ns = phase_ns
-        self.spin_ns = spin_ns
+        self.spin = spin or choose_spin(spin_ns, period_ns)
+        self.margin = self.spin.margin()
+        self.rehearsal = rehearsal if self.margin.largest_ns else None
         self.realtime_offset_ns = realtime_offset_ns(monotonic, realtime)
         self.realtime_steps = 0
         self._monotonic = monotonic
@@ -147,18 +156,30 @@ class RealTimeClock:
         self._deadline = 0
         self._skipped = 0
         self._drained_ns = monotonic()
+        self._early: list[Frame] = []
 
     def wait(self, should_stop: Callable[[], bool] = never) -> CycleStart | None:
         """Block until the deadline; None when `should_stop` says so afterwards."""
         monotonic = self._monotonic
         now = monotonic()
         if not self._deadline:
-            self._deadline = first_deadline(now, self.period_ns, self.phase_ns)
+            self._deadline = self._first_deadline(now)
         deadline = self._deadline
-        sleep_until = deadline - self.spin_ns
-        while now < sleep_until:
-            self._sleep((sleep_until - now) * 1e-9)
-            now = monotonic()
+        margin, rehearsal = self.margin, self.rehearsal
+        sleep_until = deadline - margin.now_ns
+        if rehearsal is not None:
+            sleep_until -= rehearsal.lead.now_ns
+        if now < sleep_until:
+            while now < sleep_until:
+                self._sleep((sleep_until - now) * 1e-9)
+                now = monotonic()
+            margin.observe(now - sleep_until)
+        if rehearsal is not None:
+            if deadline - now >= rehearsal.lead.now_ns:
+                self._rehearse(rehearsal)
+                now = monotonic()
+            else:
+                rehearsal.skipped += 1
         while now < deadline:
             now = monotonic()
         if should_stop():
@@ -170,6 +191,9 @@ class RealTimeClock:
         if self._transport is None:
             return []
         arrived = self._transport.drain()
+        if self._early:
+            arrived = self._early + arrived
+            self._early = []
         now = self._monotonic()
         offset = self._realtime() - now
         if abs(offset - self.realtime_offset_ns) > STEP_NS:
@@ -185,6 +209,24 @@ class RealTimeClock:
             at = stamp - offset
             frames.append(Frame(at if oldest <= at <= now else now, can_id, data))
         return frames
+
+    def _first_deadline(self, now_ns: int) -> int:
+        """The first deadline; with a rehearsal, the first one that leaves time for it."""
+        rehearsal = self.rehearsal
+        if rehearsal is None:
+            return first_deadline(now_ns, self.period_ns, self.phase_ns)
+        needed_ns = rehearsal.lead.largest_ns + self.margin.largest_ns
+        deadline = first_deadline(now_ns + needed_ns, self.period_ns, self.phase_ns)
+        rehearsal.remember(deadline - self.period_ns, now_ns, [], NO_TIMING)
+        return deadline
+
+    def _rehearse(self, rehearsal: Rehearsal) -> None:
+        """Take what has arrived so far, and warm the caches."""
+        if self._transport is not None:
+            self._early += self._transport.drain()
+        rehearsal()
+        if rehearsal.failure:
+            self.rehearsal = None
 
     def closing(self) -> list[tuple[int, bytes | bytearray]]:
         """Nothing: time passes by itself."""

@@ -9,9 +9,11 @@ from typing import Any
 
 from hil.canbus.contract import Contract
 from hil.canbus.protection import Protector
-from hil.node.clock import Clock, never
+from hil.node.clock import Clock, RealTimeClock, never
 from hil.node.inbox import CycleTiming, Inbox, bus_identifier
 from hil.node.outbox import Outbox
+from hil.node.rehearsal import Rehearsal
+from hil.node.spin import spin_report
 from hil.node.timing import TimingRing
 from hil.node.unit import FrameLink, Unit, every_cycle
 
@@ -77,6 +79,27 @@ class CycleStatistics:
             self.max_consecutive_misses = max(self.max_consecutive_misses, self.consecutive)
 
 
+class WindowMaximum:
+    """Greatest of the last `length` values; looks at all of them only when the greatest leaves."""
+
+    __slots__ = ("_next", "_values", "maximum")
+
+    def __init__(self, length: int) -> None:
+        self.maximum = 0
+        self._values = [0] * length
+        self._next = 0
+
+    def add(self, value: int) -> None:
+        """Take a value in, and the oldest out."""
+        values, at = self._values, self._next
+        leaves, values[at] = values[at], value
+        self._next = at + 1 if at + 1 < len(values) else 0
+        if value >= self.maximum:
+            self.maximum = value
+        elif leaves == self.maximum:
+            self.maximum = max(values)
+
+
 class Node:
     """Runs one unit on one transport with one clock; the ring may be None (nothing is recorded).
 
@@ -109,8 +132,9 @@ class Node:
         self._between_cycles = getattr(unit, "between_cycles", None) if not self._real_time else None
         self._startup_cycles = -(-self.overload.startup_ns // unit.period_ns)
         window = max(1, TIMING_WINDOW_NS // unit.period_ns)
-        self._latencies = [0] * window
-        self._executions = [0] * window
+        self._latency = WindowMaximum(window)
+        self._execution = WindowMaximum(window)
+        self._rehearsal: Rehearsal | None = getattr(clock, "rehearsal", None)
 
     def warm_up(self) -> None:
         """Run the unit's and the codecs' code paths and touch the ring, without side effect."""
@@ -129,18 +153,25 @@ class Node:
         monotonic = self._monotonic
         unit, inbox, outbox, statistics = self.unit, self.inbox, self.outbox, self.statistics
         inbox.begin(start.now_ns)
-        for stamp_ns, can_id, data in self.clock.frames():
-            inbox.accept(stamp_ns, can_id, data)
+        frames = self.clock.frames()
+        accept = inbox.accept
+        for stamp_ns, can_id, data in frames:
+            accept(stamp_ns, can_id, data)
         read_ns = monotonic()
         unit.step(start.scheduled_ns, inbox, outbox)
         stepped_ns = monotonic()
-        self.transport.send_all(outbox.collect(statistics.cycles) + self.clock.closing())
+        out = outbox.collect(statistics.cycles) + self.clock.closing()
+        encoded_ns = monotonic()
+        if out:
+            self.transport.send_all(out)
         sent_ns = monotonic()
         if self.ring is not None:
             self.ring.append(
-                statistics.cycles, start.scheduled_ns, start.woke_ns, read_ns, stepped_ns, sent_ns,
-                start.skipped, *unit.probe(),
+                statistics.cycles, start.scheduled_ns, start.woke_ns, read_ns, stepped_ns, encoded_ns,
+                sent_ns, start.skipped, *unit.probe(),
             )  # fmt: skip
+        if self._rehearsal is not None:
+            self._rehearsal.remember(start.scheduled_ns, start.now_ns, frames, inbox.timing)
         statistics.skipped += start.skipped
         missed = self.clock.finished(monotonic())
         if self._real_time:
@@ -175,24 +206,34 @@ class Node:
             "missed_startup": counts.missed_startup,
             "max_consecutive_misses": counts.max_consecutive_misses,
             "skipped": counts.skipped,
+            "spin": self._spin_report(),
+            "rehearsal": None if self._rehearsal is None else self._rehearsal.report(),
             "realtime_steps": getattr(self.clock, "realtime_steps", 0),
             "frames": {
                 "sent": self.transport.sent,
                 "received": self.transport.received,
                 "dropped": self.transport.dropped,
+                "not_sent": getattr(self.transport, "not_sent", 0),
+                "error_frames": getattr(self.transport, "error_frames", 0),
+                "bus_state": str(getattr(self.transport, "bus_state", "unknown")),
             },
             "e2e": received_counters(self.inbox),
         }
 
+    def _spin_report(self) -> dict[str, Any] | None:
+        clock = self.clock
+        if not isinstance(clock, RealTimeClock):
+            return None
+        return spin_report(clock.spin, clock.margin, clock.period_ns)
+
     def _judge(self, missed: int, latency_ns: int, execution_ns: int) -> None:
         """Count the cycle, tell the unit its timing, apply the overload policy."""
         counts = self.statistics
-        slot = counts.cycles % len(self._latencies)
-        self._latencies[slot] = latency_ns
-        self._executions[slot] = execution_ns
+        self._latency.add(latency_ns)
+        self._execution.add(execution_ns)
         counts.count(missed, counts.cycles < self._startup_cycles)
         self.inbox.timing = CycleTiming(
-            max(self._latencies), max(self._executions), counts.missed + counts.missed_startup
+            self._latency.maximum, self._execution.maximum, counts.missed + counts.missed_startup
         )
         if missed:
             self.overload.check(counts)

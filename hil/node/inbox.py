@@ -25,6 +25,9 @@ class CycleTiming(NamedTuple):
 
 NO_TIMING = CycleTiming()
 
+# names of this module: a look-up on the enumeration costs as much as the comparison it is for
+_NO_NEW_DATA, _OK, _WRONG_CRC = E2EStatus.NO_NEW_DATA, E2EStatus.OK, E2EStatus.WRONG_CRC
+
 
 def bus_identifier(codec: MessageCodec) -> int:
     """Identifier as frames carry it: 29-bit identifiers with EXTENDED_ID_FLAG."""
@@ -41,12 +44,14 @@ class Received:
     """
 
     __slots__ = (
-        "_receiver", "_silent", "_start_ns", "codec", "counter", "events", "fresh", "lost", "now_ns", "ok",
-        "queues", "received", "rejected", "stamp_ns", "status", "timeout_ns", "timeouts", "values",
+        "_decode", "_receiver", "_silent", "_start_ns", "codec", "counter", "events", "fresh", "lost",
+        "now_ns", "ok", "queues", "received", "rejected", "stamp_ns", "status", "timeout_ns", "timeouts",
+        "values",
     )  # fmt: skip
 
     def __init__(self, codec: MessageCodec) -> None:
         self.codec = codec
+        self._decode = codec.decode
         self.values: dict[str, float] = dict(codec.start_values)
         self.status = E2EStatus.NO_NEW_DATA
         self.received = False
@@ -85,9 +90,10 @@ class Received:
 
     def begin(self, now_ns: int) -> None:
         """Start a cycle at `now_ns`: nothing is fresh."""
+        timeout_ns = self.timeout_ns
         if self._start_ns is None:
             self._start_ns = self.stamp_ns = now_ns
-        elif self.timed_out():
+        elif timeout_ns is not None and self.now_ns - self.stamp_ns > timeout_ns:
             # Judged with the previous cycle's time, when all of that cycle's frames had been taken.
             if not self._silent:
                 self.timeouts += 1
@@ -96,7 +102,7 @@ class Received:
             self._silent = False
         self.now_ns = now_ns
         self.fresh = False
-        self.status = E2EStatus.NO_NEW_DATA
+        self.status = _NO_NEW_DATA
         if self.events:
             self.events.clear()
 
@@ -105,10 +111,10 @@ class Received:
         receiver = self._receiver
         if receiver is None:
             if len(data) != self.codec.length:
-                self.status = E2EStatus.WRONG_CRC
+                self.status = _WRONG_CRC
                 self.rejected += 1
                 return False
-            self.status = E2EStatus.OK
+            self.status = _OK
         else:
             status = self.status = receiver.check(data)
             self.lost = receiver.lost
@@ -116,7 +122,7 @@ class Received:
                 self.rejected += 1
                 return False
             self.counter = receiver.counter
-        self.values = self.codec.decode(data)
+        self.values = self._decode(data)
         if self.queues:
             self.events.append(self.values)
         self.stamp_ns = stamp_ns
@@ -161,6 +167,7 @@ class Inbox:
         """Greatest age among the cyclic messages received so far, ns."""
         worst = 0
         for received in self._cyclic:
-            if received.received:
-                worst = max(worst, received.age_ns())
+            age = received.now_ns - received.stamp_ns
+            if age > worst and received.received:
+                worst = age
         return worst

@@ -21,7 +21,10 @@ class OptionsError(ValueError):
 
 @dataclass(frozen=True)
 class NodeOptions:
-    """What a node process is told when it starts. None: the default of the unit or of the program."""
+    """What a node process is told when it starts. None: the default of the unit or of the program.
+
+    `spin_ns` None: as the machine allows (`hil.node.spin.choose_spin`), 0: none.
+    """
 
     scenario: Path
     bus: BusOptions
@@ -34,9 +37,12 @@ class NodeOptions:
     lock_memory: bool = True
     name: str | None = None
     phase_ns: int | None = None
-    spin_ns: int = 200_000
+    spin_ns: int | None = None
+    rehearse: bool = True
     tick_ns: int | None = None
     peer_timeout_s: float = 60.0
+    overload_grace_s: float = 0.2
+    max_misses: int | None = None
     max_consecutive_misses: int | None = None
     die_with_parent: bool = False
 
@@ -62,10 +68,36 @@ def parse(arguments: Sequence[str] | None, *, program: str) -> NodeOptions:
     add("--no-lock-memory", dest="lock_memory", action="store_false", help="do not lock memory")
     add("--name", help="name in messages and on the bus")
     add("--phase-ns", type=_integer(0, None), metavar="NS", help="phase of the deadlines on the grid")
-    add("--spin-ns", type=_integer(0, None), default=200_000, metavar="NS", help="poll the clock that long")
+    add(
+        "--spin-us",
+        dest="spin_ns",
+        type=_spin,
+        metavar="auto|N",
+        help="poll the clock for the last N us before a deadline, 0: only sleep; default: auto",
+    )
+    add(
+        "--no-rehearsal",
+        dest="rehearse",
+        action="store_false",
+        help="do not run a twin of the unit before each deadline to warm the caches",
+    )
     add("--tick-ns", type=_integer(1, None), metavar="NS", help="lockstep tick; default: the unit's period")
     add("--peer-timeout", dest="peer_timeout_s", type=_seconds, default=60.0, metavar="S",
         help="lockstep: longest silence of a peer")  # fmt: skip
+    add(
+        "--overload-grace",
+        dest="overload_grace_s",
+        type=_duration,
+        default=0.2,
+        metavar="S",
+        help="deadlines missed so soon after the start are counted apart and never halt; default: 0.2",
+    )
+    add(
+        "--max-misses",
+        type=_integer(0, None),
+        metavar="N",
+        help="halt after more missed deadlines in all; default: never",
+    )
     add("--max-consecutive-misses", type=_integer(0, None), metavar="N",
         help="halt after more missed deadlines in a row; default: never")  # fmt: skip
     add("--die-with-parent", action="store_true", help="end when the process that started this one ends")
@@ -92,11 +124,28 @@ class _integer:
         return value
 
 
+def _spin(text: str) -> int | None:
+    """Nanoseconds, None for "auto"."""
+    return None if text == "auto" else 1000 * _integer(0, None)(text)
+
+
+def _duration(text: str) -> float:
+    """Seconds, 0 allowed."""
+    value = _number(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} must be 0 or greater and finite")
+    return value
+
+
 def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds") from None
+    value = _number(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} must be greater than 0 and finite")
     return value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds") from None

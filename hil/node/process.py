@@ -25,6 +25,9 @@ from hil.node.cycle import Node, OverloadPolicy, warm_up
 from hil.node.inbox import bus_identifier
 from hil.node.lockstep import LockstepClock
 from hil.node.options import NodeOptions, OptionsError, parse
+from hil.node.rehearsal import rehearsal_of
+from hil.node.spin import choose_spin
+from hil.node.split import execution_split
 from hil.node.timing import TimingRing
 from hil.node.unit import FrameLink, Unit, UnitBuilder, default_phase_ns
 
@@ -42,13 +45,15 @@ def build_node(
     ring: Path | None = None,
     tick_ns: int | None = None,
     phase_ns: int | None = None,
-    spin_ns: int = 200_000,
+    spin_ns: int | None = None,
+    rehearse: bool = False,
     peer_timeout_s: float = 60.0,
     overload: OverloadPolicy | None = None,
 ) -> Node:
     """Put a unit, an open transport and a clock together; `ring` is the file of its timing ring.
 
-    Raises OptionsError when the lockstep tick does not fit the unit's period.
+    `spin_ns` None: chosen by `hil.node.spin.choose_spin`. `rehearse`: with a twin of the unit, if it has one,
+    and only where the clock spins. Raises OptionsError when the lockstep tick does not fit the unit's period.
     """
     the_clock: Clock
     try:
@@ -59,8 +64,11 @@ def build_node(
             )  # fmt: skip
         else:
             phase = default_phase_ns(unit) if phase_ns is None else phase_ns
-            spin_ns = min(spin_ns, unit.period_ns // 2)
-            the_clock = RealTimeClock(unit.period_ns, phase, spin_ns, transport=transport)
+            spin = choose_spin(spin_ns, unit.period_ns)
+            rehearsal = rehearsal_of(unit, contract) if rehearse and spin.mode != "off" else None
+            the_clock = RealTimeClock(
+                unit.period_ns, phase, transport=transport, spin=spin, rehearsal=rehearsal
+            )
     except ValueError as error:
         if hasattr(error, "exit_code"):
             raise
@@ -111,8 +119,11 @@ class NodeProcess:
                 tick_ns=options.tick_ns,
                 phase_ns=options.phase_ns,
                 spin_ns=options.spin_ns,
+                rehearse=options.rehearse and real_time,
                 peer_timeout_s=options.peer_timeout_s,
-                overload=OverloadPolicy(maximum_consecutive=options.max_consecutive_misses),
+                overload=OverloadPolicy(
+                    round(options.overload_grace_s * 1e9), options.max_misses, options.max_consecutive_misses
+                ),
             )
             if self.node.ring is not None:
                 self._resources.enter_context(self.node.ring)
@@ -160,6 +171,8 @@ class NodeProcess:
         if self.options.status is not None:
             document = {"state": state, "name": self.name, "pid": os.getpid(), **more}
             document |= self.node.report() | self.rights.as_dict()
+            if self.options.ring is not None and state == "ended":
+                document["execution_us"] = execution_split(self.options.ring)
             write_json(self.options.status, document)
 
 

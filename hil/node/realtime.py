@@ -10,11 +10,14 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import struct
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from hil.node.spin import real_time_share
 
 __all__ = ["RealTimeRights", "Right", "request"]
 
@@ -22,6 +25,9 @@ PR_SET_PDEATHSIG = 1
 PR_SET_TIMERSLACK = 29
 MCL_CURRENT, MCL_FUTURE = 1, 2
 CAP_IPC_LOCK = 14
+CAP_SYS_NICE = 23
+DMA_LATENCY = Path("/dev/cpu_dma_latency")
+THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
 # What the process may still map after the lock without running into its limit.
 LOCK_HEADROOM_BYTES = 64 * 2**20
 
@@ -32,6 +38,17 @@ FIFO_REMEDY = (
 MEMORY_REMEDY = (
     "add '@realtime - memlock unlimited' to /etc/security/limits.d/ and log in anew; "
     "in a container: --cap-add=ipc_lock --ulimit memlock=-1"
+)
+
+ON_LINUX = "run the bench on Linux"
+CGROUP_REMEDY = (
+    "this kernel shares out real-time time by cgroup (CONFIG_RT_GROUP_SCHED): move the shell into the root "
+    "group (echo $$ > /sys/fs/cgroup/cgroup.procs), or give its group cpu.rt_runtime_us; "
+    "in a container: --cpu-rt-runtime=950000 --ulimit rtprio=99 --cap-add=sys_nice"
+)
+IDLE_REMEDY = (
+    'run as root, or let a group use it: KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660" '
+    "in /etc/udev/rules.d/; in a container: --device=/dev/cpu_dma_latency"
 )
 
 
@@ -59,11 +76,13 @@ class RealTimeRights:
     timer_slack: Right
     garbage_collector: Right
     cpu_affinity: Right
+    cpu_idle: Right
 
     def __iter__(self) -> Any:
         return iter(
-            (self.sched_fifo, self.memory_lock, self.timer_slack, self.garbage_collector, self.cpu_affinity)
-        )
+            (self.sched_fifo, self.memory_lock, self.timer_slack, self.garbage_collector, self.cpu_affinity,
+             self.cpu_idle)
+        )  # fmt: skip
 
     @property
     def refused(self) -> tuple[Right, ...]:
@@ -80,7 +99,8 @@ class RealTimeRights:
 
 
 def request(priority: int, cpu: int | None, lock_memory: bool = True) -> RealTimeRights:
-    """Ask for SCHED_FIFO at `priority` (0: do not), memory lock, 1 ns timer slack, affinity to `cpu`.
+    """Ask for SCHED_FIFO at `priority` (0: do not), memory lock, 1 ns timer slack, affinity to `cpu`, and,
+    with a priority, for CPUs that stay out of deep idle states (/dev/cpu_dma_latency).
 
     The garbage collector is run, frozen and switched off: what lives now is never scanned again. Call it
     after warm-up and before the loop. Never raises.
@@ -90,13 +110,14 @@ def request(priority: int, cpu: int | None, lock_memory: bool = True) -> RealTim
         timer_slack=_attempt("timer_slack", _timer_slack, ""),
         memory_lock=_lock_memory() if lock_memory else Right("memory_lock", "not asked for"),
         cpu_affinity=_pin(cpu),
+        cpu_idle=_stay_awake() if priority > 0 else Right("cpu_idle", "not asked for"),
         sched_fifo=_sched_fifo(priority),
     )
 
 
 def none_requested() -> RealTimeRights:
     """The rights of a process that asked for none (lockstep)."""
-    names = ("sched_fifo", "memory_lock", "timer_slack", "garbage_collector", "cpu_affinity")
+    names = ("sched_fifo", "memory_lock", "timer_slack", "garbage_collector", "cpu_affinity", "cpu_idle")
     return RealTimeRights(*(Right(name, "not asked for") for name in names))
 
 
@@ -116,7 +137,7 @@ def _attempt(name: str, action: Callable[[], str], remedy: str) -> Right:
     except PermissionError as error:
         return Right(name, "refused", f"not permitted ({error.strerror or error})", remedy)
     except AttributeError:
-        return Right(name, "refused", f"{sys.platform} has no such call", "run the bench on Linux")
+        return Right(name, "refused", f"{sys.platform} has no such call", ON_LINUX)
     except (OSError, ValueError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         return Right(name, "refused", reason, remedy)
@@ -138,9 +159,42 @@ def _sched_fifo(priority: int) -> Right:
         if priority > highest:
             raise ValueError(f"priority {priority} is above the highest, {highest}")
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        return f"priority {priority}"
+        return f"priority {priority}{_throttled()}"
 
-    return _attempt("sched_fifo", ask, FIFO_REMEDY)
+    # Root that is refused is refused by its cgroup, which has no share of the real-time time.
+    capable = bool(_status_field("CapEff", 16) & (1 << CAP_SYS_NICE))
+    return _attempt("sched_fifo", ask, CGROUP_REMEDY if capable else FIFO_REMEDY)
+
+
+def _throttled() -> str:
+    """What the kernel keeps from real-time processes, in words; nothing where it keeps nothing."""
+    share = real_time_share()
+    if share >= 1.0:
+        return ""
+    return f"; the kernel stops real-time processes after {100 * share:.3g} % of a CPU ({THROTTLE})"
+
+
+def _stay_awake() -> Right:
+    """Ask the kernel for wake-ups without delay (kernel documentation, PM Quality Of Service).
+
+    The request holds as long as the file is open: it is never closed, and ends with the process.
+    """
+
+    def ask() -> str:
+        if not _held:
+            handle = os.open(DMA_LATENCY, os.O_WRONLY)
+            try:
+                os.write(handle, struct.pack("=i", 0))
+            except OSError:
+                os.close(handle)
+                raise
+            _held.append(handle)
+        return "CPU wake-up latency limited to 0 us"
+
+    return _attempt("cpu_idle", ask, IDLE_REMEDY if sys.platform.startswith("linux") else ON_LINUX)
+
+
+_held: list[int] = []
 
 
 def _pin(cpu: int | None) -> Right:

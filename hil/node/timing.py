@@ -3,7 +3,7 @@
 The writer never waits and makes no system call: it packs a record into the mapping and moves the write
 index. A reader maps the same file, also after the writer has been killed; what it was too slow for is
 counted as lost. Layout: a header (fixed fields, then JSON with the process name and the probes), then
-`capacity` records of seven int64 and one float64 per probe, in the machine's byte order.
+`capacity` records of eight int64 and one float64 per probe, in the machine's byte order.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ __all__ = ["CYCLE_FIELDS", "RingError", "RingHeader", "TimingReader", "TimingRin
 
 # The int64 part of a record. Times are CLOCK_MONOTONIC ns, but scheduled_ns is simulated time in lockstep;
 # missed: whole cycles skipped just before this one.
-CYCLE_FIELDS = ("cycle", "scheduled_ns", "woke_ns", "read_ns", "stepped_ns", "sent_ns", "missed")
+CYCLE_FIELDS = (
+    "cycle", "scheduled_ns", "woke_ns", "read_ns", "stepped_ns", "encoded_ns", "sent_ns", "missed",
+)  # fmt: skip
 DEFAULT_CAPACITY = 65536
 
 MAGIC = b"HILRING\n"
-VERSION = 1
+VERSION = 2
 # magic, version, header bytes, capacity, record bytes, JSON bytes, pid, period_ns, realtime offset ns
 FIXED = struct.Struct("=8sIIIIIIqq")
 # On a cache line of its own and 8-byte aligned, so that it is read and written in one access.
@@ -105,7 +107,7 @@ class TimingRing:
         self._pack_into = self._record.pack_into
 
     def append(self, *record: float) -> None:
-        """Write one record: the seven integers of CYCLE_FIELDS, then the probes in order."""
+        """Write one record: the eight integers of CYCLE_FIELDS, then the probes in order."""
         written = self._written
         self._pack_into(self._map, self._data_offset + (written & self._mask) * self._size, *record)
         self._written = written = written + 1

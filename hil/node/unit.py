@@ -10,12 +10,9 @@ from hil.canbus.contract import Contract
 from hil.canbus.frame import Frame
 from hil.node.inbox import Inbox
 from hil.node.outbox import Outbox
+from hil.node.phase import PHASE_NS, phase_off_the_tick
 
 __all__ = ["FrameLink", "Probe", "Unit", "UnitBuilder", "default_phase_ns"]
-
-# Off the kernel tick: with HZ=250 or 1000 the tick interrupt falls on whole milliseconds of
-# CLOCK_MONOTONIC, and a deadline on the tick costs 10-20 us of wake-up latency.
-PHASE_NS = 700_000
 
 
 class Probe(NamedTuple):
@@ -32,7 +29,8 @@ class Unit(Protocol):
     messages that the unit waits for in lockstep. A unit may also have `every_cycle: tuple[str, ...]`:
     cyclic messages that go out in each of its cycles, whatever cycle time the DBC gives. And it may have
     `between_cycles()`, called in lockstep after each cycle, outside what is timed, and `start_helper()` with
-    `close()` around it in real time: work that a cycle has no time for.
+    `close()` around it in real time: work that a cycle has no time for. And `twin()`: a unit of the same
+    kind with state of its own and no side effects, for the rehearsals of `hil.node.rehearsal`.
     """
 
     @property
@@ -108,7 +106,7 @@ def default_phase_ns(unit: Unit) -> int:
 
     A unit that follows another one in lockstep (`after`) follows it by half a period in real time.
     """
-    return PHASE_NS + (unit.period_ns // 2 if unit.after else 0)
+    return phase_off_the_tick(unit.period_ns, PHASE_NS + (unit.period_ns // 2 if unit.after else 0))
 
 
 def every_cycle(unit: Unit) -> tuple[str, ...]:

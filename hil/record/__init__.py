@@ -11,11 +11,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hil.record.errors import NotRecorded, RecordError, RecordingUnreadable, ViewerUnavailable
-    from hil.record.reader import Run, RunEvent, open_run
+    from hil.record.errors import (
+        MissingPackage,
+        NotRecorded,
+        RecordError,
+        RecordingUnreadable,
+        ViewerUnavailable,
+    )
+    from hil.record.reader import Run, RunEvent
     from hil.record.recorder import Recorder, RecorderOptions, RecordingStats
+    from hil.record.run_data import Column, RunData, SignalInfo, open_run
 
 __all__ = [
+    "Column",
+    "MissingPackage",
     "NotRecorded",
     "RecordError",
     "Recorder",
@@ -23,15 +32,19 @@ __all__ = [
     "RecordingStats",
     "RecordingUnreadable",
     "Run",
+    "RunData",
     "RunEvent",
+    "SignalInfo",
     "ViewerUnavailable",
     "open_run",
 ]
 
 _HOME = {
-    **dict.fromkeys(("NotRecorded", "RecordError", "RecordingUnreadable", "ViewerUnavailable"), "errors"),
+    **dict.fromkeys(("MissingPackage", "NotRecorded", "RecordError"), "errors"),
+    **dict.fromkeys(("RecordingUnreadable", "ViewerUnavailable"), "errors"),
     **dict.fromkeys(("Recorder", "RecorderOptions", "RecordingStats"), "recorder"),
-    **dict.fromkeys(("Run", "RunEvent", "open_run"), "reader"),
+    **dict.fromkeys(("Run", "RunEvent"), "reader"),
+    **dict.fromkeys(("Column", "RunData", "SignalInfo", "open_run"), "run_data"),
 }
 
 

@@ -33,7 +33,10 @@ class MessageBlock:
 
 @dataclass(frozen=True)
 class Block:
-    """Frames in the order of arrival. `unknown` and `malformed` count what the contract cannot decode."""
+    """Frames in the order of arrival. `unknown` and `malformed` count what the contract cannot decode.
+
+    `unknown` is by identifier as in `Frame.can_id`, that is with EXTENDED_ID_FLAG if it has 29 bits.
+    """
 
     stamps_ns: NDArray[np.int64]
     messages: Mapping[str, MessageBlock]
@@ -49,15 +52,16 @@ def decode_block(frames: Sequence[Frame], contract: Contract) -> Block:
     if not frames:
         return Block(np.empty(0, np.int64), {}, {}, {})
     stamps, identifiers, payloads = zip(*frames, strict=True)
-    ids = np.array(identifiers, dtype=np.int64) & ~EXTENDED_ID_FLAG
+    ids = np.array(identifiers, dtype=np.int64)
     lengths = np.fromiter(map(len, payloads), np.int64, len(payloads))
     messages: dict[str, MessageBlock] = {}
     unknown: dict[int, int] = {}
     malformed: dict[str, int] = {}
     for identifier in np.unique(ids).tolist():
         rows = np.flatnonzero(ids == identifier)
-        codec = contract.by_id.get(identifier)
-        if codec is None:
+        codec = contract.by_id.get(identifier & ~EXTENDED_ID_FLAG)
+        # The 29-bit identifier 0x180 is another message than the 11-bit 0x180.
+        if codec is None or codec.extended != (identifier >= EXTENDED_ID_FLAG):
             unknown[identifier] = len(rows)
             continue
         whole = rows[lengths[rows] == codec.length]

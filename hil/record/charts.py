@@ -46,9 +46,15 @@ class ChartLine:
     @property
     def column(self) -> str:
         """Name of the column in the chart's unit: its own one, or a converted `speed [km/h]`."""
-        if self.source.unit == self.chart.unit:
+        if not self.converted:
             return with_unit(self.source.name, self.source.unit)
-        return with_unit(UNIT_SUFFIX.sub("", self.source.name), self.chart.unit)
+        name = UNIT_SUFFIX.sub("", self.source.name)
+        return with_unit(f"-{name}" if self.series.sign < 0 else name, self.chart.unit)
+
+    @property
+    def converted(self) -> bool:
+        """Whether the chart needs a column of its own."""
+        return self.source.unit != self.chart.unit or self.series.sign < 0
 
     @property
     def component(self) -> str:
@@ -64,15 +70,18 @@ class Charts:
         self._sink = sink
         self._sources: dict[str, Source] = {}
         self._lines: dict[str, list[ChartLine]] = {}
-        self._distance = {chart.path: DistanceChart(chart) for chart in charts if chart.distance}
+        self.distance = {chart.path: DistanceChart(chart) for chart in charts if chart.distance}
 
     def offer(self, sources: Mapping[str, Source]) -> None:
         """Say what can be plotted, by the names that the dashboard uses."""
         self._sources |= sources
-        self._lines = {}
+        before, self._lines = self.lines, {}
         for chart in self._charts:
             for series in chart.series:
                 self._choose(chart, series)
+        for line in before:  # what a better source replaces would be drawn a second time
+            if line.chart.distance and line not in self.lines:
+                self.distance[line.chart.path].forget(line.series.name)
 
     @property
     def lines(self) -> list[ChartLine]:
@@ -87,17 +96,17 @@ class Charts:
         """Tell the charts new values of a source; the converted columns to record beside it."""
         extra: dict[str, NDArray[np.float64]] = {}
         for line in self._lines.get(name, ()):
-            converted = values * line.factor
-            if line.source.unit != line.chart.unit:
+            converted = values * (line.factor * line.series.sign)
+            if line.converted:
                 extra[line.column] = converted
             if line.chart.distance:
                 position_m = instants.position_mm / MM_PER_M
-                self._distance[line.chart.path].add(line.series.name, position_m, converted)
+                self.distance[line.chart.path].add(line.series.name, position_m, converted)
         return extra
 
     def redraw(self) -> None:
         """Replace the charts over distance by what is known now."""
-        for chart in self._distance.values():
+        for chart in self.distance.values():
             chart.draw(self._sink)
 
     def _choose(self, chart: Chart, series: Series) -> None:

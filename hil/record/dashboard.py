@@ -10,11 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["CHARTS", "CYCLE", "LANES", "POSITION", "Chart", "Series", "level_of", "state_color"]
+__all__ = [
+    "CHARTS", "CYCLE", "JERK", "LANES", "POSITION", "Chart", "Level", "Series", "level_of", "probe_color",
+    "state_color",
+]  # fmt: skip
 
 RED, ORANGE, YELLOW, GREEN = 0xF2555AFF, 0xF59B42FF, 0xF2C94CFF, 0x4CC38AFF
 BLUE, VIOLET, WHITE, GREY = 0x4DA3FFFF, 0xB58CFFFF, 0xE6E6E6FF, 0x8A8F98FF
-PALETTE = (BLUE, GREEN, YELLOW, VIOLET, ORANGE, 0x39C5CFFF, 0xF78FB3FF, 0xA3D65CFF, 0xC9A26BFF, RED)
+CYAN, ROSE, LIMIT = 0x39C5CFFF, 0xF78FB3FF, 0xC2494DFF  # LIMIT: what must not be crossed
+PALETTE = (BLUE, GREEN, YELLOW, VIOLET, ORANGE, CYAN, ROSE, 0xA3D65CFF, 0xC9A26BFF, RED)
 
 POSITION = "ODO_Motion.Position"
 """Default source of the timeline `position`."""
@@ -32,11 +36,26 @@ class Series:
     color: int
     width: float = 1.5
     step: bool = False  # held until the next value, as a receiver sees it
+    sign: int = 1  # -1: drawn downwards
+
+
+@dataclass(frozen=True)
+class Level:
+    """A limit or a nominal value as a straight line in a chart.
+
+    `source` names it: `limits/<key of the scenario's verdict>`, `period/<process>` or `timeout/<Message>`;
+    without one it is `value`, in the unit of the chart. `both`: at minus the value as well.
+    """
+
+    name: str
+    source: str = ""
+    value: float = 0.0
+    both: bool = False
 
 
 @dataclass(frozen=True)
 class Chart:
-    """One chart of the first page: its name, title, unit and lines.
+    """One chart of a page (Drive, Law, Timing): its name, title, unit, lines and limits.
 
     `distance` asks for the same chart over the train's position. `column` is its place on the page, left (0)
     or right (1); `share` its part of that column's height. `limits` are those of its vertical axis; without
@@ -51,6 +70,13 @@ class Chart:
     column: int = 0
     share: float = 1.0
     limits: tuple[float, float] | None = None
+    page: str = "Drive"
+    levels: tuple[Level, ...] = ()
+    realtime: bool = False  # says nothing in lockstep, and is left out there
+
+
+JERK = ("plant_sim/acceleration_mps2", "jerk_mps3", "m/s^3")
+"""Recorded beside a process's probe: its jerk, as the verdict takes it (0.2 s average over 0.1 s)."""
 
 
 # The viewer draws bus signals below probes: where lines coincide, the wider one below shows as a rim.
@@ -66,14 +92,14 @@ CHARTS: tuple[Chart, ...] = (
         distance=True, share=3.0,
     ),
     Chart(
-        "effort", "Effort at the wheels", "kN",
+        "effort", "Effort at the wheels, braking downwards", "kN",
         (
             Series("available", ("TCU_Status.EffortAvailable",), GREY, 1.0),
-            Series("traction", ("TCU_Status.TractiveEffort",), GREEN, 2.0),
-            Series("electrodynamic brake", ("BCU_Status.ElectrodynamicEffort",), BLUE, 2.0),
-            Series("pneumatic brake", ("BCU_Status.PneumaticEffort",), VIOLET, 2.0),
+            Series("pneumatic brake", ("BCU_Status.PneumaticEffort",), VIOLET, 2.0, sign=-1),
+            Series("electrodynamic brake", ("BCU_Status.ElectrodynamicEffort",), CYAN, 4.0, sign=-1),
+            Series("drive", ("TCU_Status.TractiveEffort",), GREEN, 1.5),
         ),
-        share=2.0,
+        share=2.4,
     ),
     Chart(
         "acceleration", "Acceleration", "m/s^2",
@@ -84,17 +110,46 @@ CHARTS: tuple[Chart, ...] = (
             ),
             Series("true", ("plant_sim/acceleration_mps2",), WHITE, 1.0),
         ),
-        share=2.0, limits=(-1.5, 1.5),
+        share=1.5, limits=(-1.5, 1.5),
     ),
     Chart(
-        "speed_error", "Reference minus measured speed", "km/h",
+        "speed_error", "Tracking error: reference minus measured speed", "m/s",
         (Series("speed error", ("controller/speed_error_mps", "ATO_Status.SpeedError"), YELLOW),),
-        column=1, share=1.6,
+        column=1, share=1.6, levels=(Level("limit of its rms", "limits/rms_speed_error_mps", both=True),),
     ),
     Chart(
         "demand", "Effort demand", "%",
         (Series("demand", ("ATO_Command.EffortDemand",), ORANGE, step=True),),
-        column=1, share=1.6, limits=(-105.0, 105.0),
+        column=1, share=1.3, limits=(-105.0, 105.0),
+    ),
+    Chart(
+        "jerk", "Jerk", "m/s^3",
+        (Series("true", ("plant_sim/jerk_mps3",), WHITE, 1.0),),
+        column=1, share=1.3, levels=(Level("limit", "limits/jerk_mps3", both=True),),
+    ),
+    Chart(
+        "response", "From due to sent", "us",
+        (
+            Series("controller", ("controller/response",), BLUE),
+            Series("plant_sim", ("plant_sim/response",), GREEN),
+        ),
+        page="Timing", share=1.6, levels=(Level("period", "period/controller"),), realtime=True,
+    ),
+    Chart(
+        "missed", "Missed cycles so far", "cycles",
+        (
+            Series("controller", ("controller/missed",), BLUE, 2.5, step=True),
+            Series("plant_sim", ("plant_sim/missed",), GREEN, 1.5, step=True),
+        ),
+        page="Timing", share=1.0, levels=(Level("limit", "limits/max_deadline_misses"),), realtime=True,
+    ),
+    Chart(
+        "signal_age", "Oldest signal that was used", "ms",
+        (
+            Series("controller: any input", ("ATO_Timing.WorstSignalAge",), BLUE, step=True),
+            Series("drive: command", ("TCU_Status.CommandAge",), GREEN, step=True),
+        ),
+        page="Timing", share=1.6, levels=(Level("silence limit of the command", "timeout/ATO_Command"),),
     ),
 )  # fmt: skip
 
@@ -103,7 +158,6 @@ LANES: tuple[str, ...] = (
     "ATO_Status.Supervision",
     "TCU_Status.State",
     "BCU_Status.State",
-    "ATP_Permission.DoorsClosed",
 )
 """The states under the charts of the first page."""
 
@@ -126,7 +180,7 @@ IDLE_WORDS = (
 GOOD_WORDS = ("OK", "YES", "NORMAL", "READY", "OPERATIONAL", "HOLD", "HOLDING")
 
 
-BUSY = (BLUE, VIOLET, YELLOW, 0x39C5CFFF)
+BUSY = (BLUE, VIOLET, YELLOW, CYAN)
 """Colours of states that are neither idle, good nor bad."""
 
 
@@ -148,6 +202,21 @@ def state_color(state: str, position: int, name: str = "") -> int:
     if state in IDLE_WORDS:
         return GREY
     return GREEN if state in GOOD_WORDS else BUSY[position % len(BUSY)]
+
+
+PROBE_COLORS = (
+    ("reference_", YELLOW), ("measured_", BLUE), ("permitted_", RED), ("estimated_", CYAN),
+    ("speed_error", YELLOW), ("effort_demand", ORANGE), ("feed_forward", GREY), ("integral", VIOLET),
+    ("feedback", ORANGE), ("traction_", GREEN), ("electrodynamic_", CYAN), ("pneumatic_", VIOLET),
+    ("resistance", ROSE), ("speed_mps", WHITE), ("position_m", WHITE), ("acceleration_mps2", WHITE),
+    ("jerk_mps3", WHITE),
+)  # fmt: skip
+"""Colours of inner values by the start of their name: those of the same quantity elsewhere."""
+
+
+def probe_color(name: str) -> int | None:
+    """RGBA of a probe; None where any colour will do."""
+    return next((color for start, color in PROBE_COLORS if name.startswith(start)), None)
 
 
 def colors(count: int) -> Sequence[int]:

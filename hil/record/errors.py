@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["NotRecorded", "RecordError", "RecordingUnreadable", "ViewerUnavailable"]
+__all__ = ["MissingPackage", "NotRecorded", "RecordError", "RecordingUnreadable", "ViewerUnavailable"]
 
 
 class RecordError(ValueError):
@@ -20,6 +20,12 @@ class NotRecorded(RecordError, KeyError):
 
 class RecordingUnreadable(RecordError):
     """A recording is not there, or is none."""
+
+
+class MissingPackage(RuntimeError):
+    """An optional package is not installed."""
+
+    exit_code = 3
 
 
 class ViewerUnavailable(RuntimeError):

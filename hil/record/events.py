@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.canbus.contract import Contract, MessageCodec, SignalSpec
+from hil.canbus.frame import EXTENDED_ID_FLAG
 from hil.record.blocks import Block, MessageBlock
 from hil.record.dashboard import level_of
 
@@ -145,13 +146,20 @@ class EventDetector:
         """The contract and the bus disagree: said once per identifier."""
         file = self._contract.path.name
         texts = [
-            f"frames with identifier 0x{can_id:03X}, which {file} does not have" for can_id in block.unknown
+            f"frames with identifier {_identifier(can_id)}, which {file} does not have"
+            for can_id in block.unknown
         ]
         texts += [f"{name}: frames of another length than {file} says" for name in block.malformed]
         for text in texts:
             if text not in self._reported:
                 self._reported.add(text)
                 yield Event(int(times_ns[0]), "WARN", "bus", text)
+
+
+def _identifier(can_id: int) -> str:
+    if can_id >= EXTENDED_ID_FLAG:
+        return f"0x{can_id & ~EXTENDED_ID_FLAG:08X} (29 bits)"
+    return f"0x{can_id:03X}"
 
 
 def _silent_event(codec: MessageCodec, time_ns: int, limit_ns: int) -> Event:

@@ -22,12 +22,18 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from hil.canbus.contract import Contract
+from hil.canbus.frame import Frame
+from hil.record.about import DRAWN, RUN_DOCUMENT, host, own_version, run_table
 from hil.record.blocks import Block, value_signals
 from hil.record.blueprint import Layout, build_blueprint
-from hil.record.charts import MM_PER_M, Charts, Source
+from hil.record.bus_load import BusLoad
+from hil.record.charts import MM_PER_M, Charts, Source, conversion
 from hil.record.cycle_pages import CyclePages
 from hil.record.dashboard import CYCLE, LANES, Chart, state_color
 from hil.record.events import Event, EventDetector, is_state
+from hil.record.law_page import LawPage, LawPicture
+from hil.record.levels import Levels, known_levels
+from hil.record.line_map import LineMap, Track
 from hil.record.rerun_sink import RerunSink, with_unit
 from hil.record.rings import Cycles, RingFeed
 from hil.record.statistics import BusStatistics
@@ -54,6 +60,8 @@ class Pages:
         charts: Sequence[Chart],
         position: str,
         processes: Sequence[str],
+        properties: Mapping[str, Any] | None = None,
+        lockstep: bool = False,
     ) -> None:
         signals = {
             f"{codec.name}.{signal.name}": Source(f"/bus/{codec.name}", codec.name, signal.name, signal.unit)
@@ -62,6 +70,13 @@ class Pages:
         }
         self.contract = contract
         self.statistics = BusStatistics(contract)
+        self.interface_counters: Mapping[str, int] = {}
+        properties = properties or {}
+        bitrate = properties.get("bitrate")
+        self._load = BusLoad(bitrate if isinstance(bitrate, int) else None)
+        self._lockstep = lockstep
+        self._properties = properties
+        track, picture = Track.read(properties.get("track")), LawPicture.read(properties.get("law_picture"))
         self.events = 0
         self._time = recording_time
         self._processes = processes
@@ -70,15 +85,23 @@ class Pages:
         self._cycle = ForwardFill()
         self._start_ns: int | None = recording_time.start_ns
         self._last_ns = 0
+        self._levels_begun = False
         self._detector = EventDetector(contract)
         self._figures: dict[str, dict[str, None]] = {}  # kind -> messages that have it, in order
         self._redrawn = time.monotonic()
         self._sink = make_sink(build_blueprint(Layout()))
+        charts = [chart for chart in charts if not (lockstep and chart.realtime)]
+        if picture is not None:
+            charts += picture.charts
         self._charts = Charts(charts, self._sink)
         self._charts.offer(signals)
-        self._cycle_pages = CyclePages(processes, self._charts, self._sink)
+        self._levels = Levels(charts, known_levels(properties, contract), self._sink)
+        self._law = None if picture is None else LawPage(picture, self._sink)
+        self._line = None if track is None else LineMap(track, self._sink)
+        self._cycle_pages = CyclePages(processes, self._charts, self._sink, self._law)
         self._sink.blueprint(build_blueprint(self._layout()))
         self._style_states()
+        self._draw_once()
         if self._start_ns is not None:
             self._sink.start_time(self._start_ns)
 
@@ -90,10 +113,14 @@ class Pages:
     def describe(self, properties: Mapping[str, Any]) -> None:
         """Attach what a reader needs to understand the recording without anything else."""
         shown = {key: value for key, value in properties.items() if isinstance(value, str | int | float)}
-        self._sink.properties("run", {**shown, "json": json.dumps(properties)})
+        about = {key: value for key, value in properties.items() if key not in DRAWN}
+        self._sink.properties("run", {**shown, "json": json.dumps(about)})
+        self._sink.properties("host", host())
         packages = ("rerun-sdk", "python-can", "cantools", "numpy")
         versions = {name.replace("-", "_"): version(name) for name in packages}
-        self._sink.properties("versions", {"python": platform.python_version(), **versions})
+        versions = {"ato_hil": own_version(), "python": platform.python_version(), **versions}
+        self._sink.properties("versions", versions)
+        self._sink.document(RUN_DOCUMENT, run_table(shown, versions, host()))
         messages = {
             codec.name: {
                 "can_id": codec.can_id,
@@ -107,8 +134,10 @@ class Pages:
         self._sink.properties("contract", about)
         self._sink.flush()  # before any data: what is left of a cut file can be understood
 
-    def write(self, block: Block, cycles: Sequence[tuple[RingFeed, Cycles]]) -> NDArray[np.int64]:
-        """Write a block of frames and the new cycles of the rings; the frames' epoch ns."""
+    def write(
+        self, block: Block, cycles: Sequence[tuple[RingFeed, Cycles]], frames: Sequence[Frame] = ()
+    ) -> NDArray[np.int64]:
+        """Write a block, made of these frames, and the new cycles of the rings; the frames' epoch ns."""
         times_ns = self._time.of_frames(block)
         timed = [(ring, new, self._time.of_cycles(new.scheduled_ns, ring.header)) for ring, new in cycles]
         self._begin([times_ns, *(times for _, _, times in timed)])
@@ -121,10 +150,14 @@ class Pages:
         if len(block):
             self._write_messages(block, self._instants(times_ns))
             self._write_events(block, times_ns)
-            self.statistics.count(block, times_ns)
-            self._write_statistics(int(times_ns[-1]))
+            self._write_statistics(block, times_ns)
+            if len(frames):
+                self._write_load(frames, block, times_ns)
         for ring, new, times in timed:
             self._write_cycles(ring, new, self._instants(times))
+        if len(block) and not self._levels_begun:
+            self._levels_begun = True
+            self._levels.write(self._instants(times_ns[:1]))
         if time.monotonic() - self._redrawn > REDRAW_INTERVAL_S:
             self._redraw()
         return times_ns
@@ -180,6 +213,9 @@ class Pages:
                 else:  # an integer: in tables, not in plots
                     columns[signal.name] = column.astype(np.uint8)
             self._sink.columns(f"/bus/{name}", name, places, columns)
+            source = self._position_source
+            if self._line is not None and source is not None and name == source.message:
+                self._line.move(places, message.column(source.name) * source.si_factor)
 
     def _write_events(self, block: Block, times_ns: NDArray[np.int64]) -> None:
         events, changes = self._detector.scan(block, times_ns)
@@ -195,11 +231,16 @@ class Pages:
             entity = f"/state/{change.message}/{change.signal.name}"
             self._sink.states(entity, self._instants(change.times_ns), change.states)
 
-    def _write_statistics(self, now_ns: int) -> None:
-        row = self.statistics.row(now_ns)
-        if row is not None:
+    def _write_load(self, frames: Sequence[Frame], block: Block, times_ns: NDArray[np.int64]) -> None:
+        ends, columns = self._load.take(frames, block, times_ns)
+        if len(ends):
+            self._sink.columns("/bus_statistics/load", "load", self._instants(ends), columns)
+
+    def _write_statistics(self, block: Block, times_ns: NDArray[np.int64]) -> None:
+        for now_ns, row in self.statistics.take(block, times_ns):
             at = self._instants(np.array([now_ns], np.int64))
-            for group, values in row.items():
+            counters = {name: float(value) for name, value in self.interface_counters.items()}
+            for group, values in {**row, "interface": counters}.items():
                 known = {name: np.array([value]) for name, value in values.items()}
                 self._figures.setdefault(group, {}).update(dict.fromkeys(known))
                 self._sink.columns(f"/bus_statistics/{group}", group, at, known)
@@ -214,6 +255,10 @@ class Pages:
     def _redraw(self) -> None:
         self._redrawn = time.monotonic()
         self._charts.redraw()
+        if self._law is not None:
+            self._law.redraw()
+        if self._start_ns is not None:
+            self._levels.write(self._instants(np.array([self._last_ns], np.int64)))
         self._cycle_pages.redraw()
 
     def _layout(self, *, finished: bool = False) -> Layout:
@@ -230,9 +275,30 @@ class Pages:
             status_lanes=[lane for lane in states if lane.endswith(("NmtState", "CommandStatus"))],
             processes=self._processes,
             figures={kind: list(messages) for kind, messages in self._figures.items()} if finished else {},
-            probes={name: header.probes for name, header in self._cycle_pages.headers.items()},
+            probes={
+                name: [*header.probes, *self._cycle_pages.derived(name)]
+                for name, header in self._cycle_pages.headers.items()
+            },
             duration_s=self.duration_s if finished else None,
+            levels=self._levels.lines,
+            line_map=self._line is not None,
+            surfaces=[] if self._law is None else [each.path for each in self._law.picture.surfaces],
+            law_title="" if self._law is None else self._law.picture.title,
+            load=self._load.peaks,
+            rules=None if self._law is None else self._law.rules,
+            lockstep=self._lockstep,
         )
+
+    def _draw_once(self) -> None:
+        """What does not move: the line, the surfaces of the law."""
+        if self._line is not None:
+            chart = next(iter(self._charts.distance.values()), None)
+            factor = None if chart is None else conversion("m/s", chart.chart.unit)
+            self._line.prepare(chart if factor else None, factor or 1.0)
+            self._line.draw()
+            self._charts.redraw()
+        if self._law is not None:
+            self._law.draw()
 
     def _style_states(self) -> None:
         """Names and colours of the states of the contract."""

@@ -22,6 +22,7 @@ from hil.node import realtime
 from hil.node.process import write_json
 from hil.record.dashboard import POSITION
 from hil.record.errors import RecordError, ViewerUnavailable
+from hil.record.log_formats import FRAME_FORMATS
 from hil.record.recorder import Recorder, RecorderOptions, RecordingStats, read_properties
 from hil.record.viewer import start_viewer
 
@@ -78,6 +79,7 @@ def _record(arguments: argparse.Namespace, stop: _Stop) -> int:
 def _run(transport: Transport, recorder: Recorder, stop: _Stop) -> None:
     while not stop.requested:
         recorder.feed(transport.drain())
+        recorder.count(dropped=transport.dropped, error_frames=transport.error_frames)
         recorder.poll()
         time.sleep(POLL_INTERVAL_S)
     deadline = time.monotonic() + LONGEST_DRAIN_S
@@ -115,6 +117,7 @@ def _options(arguments: argparse.Namespace) -> RecorderOptions:
         position=arguments.position,
         start_ns=arguments.start_ns,
         viewer_url=viewer_url,
+        logs=arguments.log,
     )
 
 
@@ -145,6 +148,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--properties", type=Path, metavar="FILE", help="JSON object to attach to the recording")
     add("--position", default=POSITION, metavar="MESSAGE.SIGNAL", help="source of the timeline `position`")
     add("--dbc", type=Path, metavar="FILE", help="bus contract instead of the one shipped")
+    add(
+        "--log",
+        action="append",
+        default=[],
+        choices=tuple(FRAME_FORMATS),
+        help="write the frame log in this format too, when the run has ended; frames.blf is always there",
+    )
     add("--status", type=Path, metavar="FILE", help="JSON written when ready and when ended")
     add("--view", action="store_true", help="show the run live in the Rerun viewer")
     add("--die-with-parent", action="store_true", help="end when the process that started this one ends")

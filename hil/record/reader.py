@@ -22,7 +22,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
-from hil.record.compact import repair
+from hil.record.column_store import FOLDER, StoredColumns
+from hil.record.compact import THINNED, repair
 from hil.record.cycle_pages import TIMING_GROUP
 from hil.record.errors import NotRecorded, RecordError, RecordingUnreadable
 from hil.record.recorder import RECORDING
@@ -70,7 +71,7 @@ class Run:
 
     path: Path
     warning: str
-    _chunks: Mapping[str, Sequence[Chunk]]
+    chunks: Mapping[str, Sequence[Chunk]]
 
     def signal(self, name: str, *, timeline: str = "sim_time") -> tuple[Array, Array]:
         """Places on a timeline and values of `Message.Signal`, both (n); values in the DBC's unit.
@@ -94,8 +95,8 @@ class Run:
     def timing(self, process: str) -> dict[str, Array]:
         """Timing of every cycle of a process, arrays of one length.
 
-        Keys: `time_s` and `cycle` of the schedule; `wakeup_latency_us`, `read_us`, `step_us`, `send_us`,
-        their sum without the latency `execution_us`, `period_error_us`, and `missed`, whole cycles
+        Keys: `time_s` and `cycle` of the schedule; `wakeup_latency_us`, `read_us`, `step_us`, `encode_us`,
+        `send_us`, their sum without the latency `execution_us`, `period_error_us`, and `missed`, whole cycles
         skipped since the process started.
         """
         self._pick(self._processes, process, "process")
@@ -106,12 +107,14 @@ class Run:
             timing["time_s"], timing[key] = self._column(f"/timing/{process}", component, "sim_time")
         timing["cycle"] = self._column(f"/timing/{process}", component, "cycle")[0]
         timing["execution_us"] = timing["read_us"] + timing["step_us"] + timing["send_us"]
+        if len(timing["encode_us"]) == len(timing["send_us"]):  # older recordings count it as sending
+            timing["execution_us"] += timing["encode_us"]
         return timing
 
     def events(self) -> list[RunEvent]:
         """All events by time."""
         found = []
-        for entity in self._chunks:
+        for entity in self.chunks:
             if entity.startswith("/events/"):
                 for batch in self._batches(entity, TEXT):
                     times = _integers(batch.column("sim_time")) / NS_PER_S
@@ -158,7 +161,7 @@ class Run:
     @cached_property
     def _processes(self) -> dict[str, Any]:
         start = "/__properties/process_"
-        names = [entity.removeprefix(start) for entity in self._chunks if entity.startswith(start)]
+        names = [entity.removeprefix(start) for entity in self.chunks if entity.startswith(start)]
         return {name: self._json(f"process_{name}") for name in sorted(names)}
 
     def _json(self, name: str) -> dict[str, Any]:
@@ -166,29 +169,59 @@ class Run:
 
     def _property(self, name: str, key: str) -> Any:
         value = None
-        for chunk in self._chunks.get(f"/__properties/{name}", ()):
+        for chunk in self.chunks.get(f"/__properties/{name}", ()):
             batch = chunk.to_record_batch()
             for column in batch.schema.names:
                 if column == key or column.endswith(f":{key}"):
                     value = batch.column(column)[-1].as_py()
         return value[0] if isinstance(value, list) and value else value
 
+    def integer_columns(
+        self, entity: str, component: str, timelines: Sequence[str] = ("bus_time", "sim_time")
+    ) -> tuple[list[NDArray[np.int64]], Array]:
+        """Places on some timelines and values of a column, each (n), in the order of the first timeline.
+
+        Times are in ns, `bus_time` since the epoch; `position` in mm. From columns/ if it is there.
+        """
+        store, name = self.stored, component.partition(":")[2]
+        if store.has(entity):
+            if name not in store.names(entity):
+                return [np.empty(0, np.int64) for _ in timelines], np.empty(0)
+            columns = store.read(entity, [*timelines, name])
+            places = [columns[timeline].astype(np.int64) for timeline in timelines]
+            order = np.argsort(places[0], kind="stable")
+            return [known[order] for known in places], columns[name].astype(np.float64)[order]
+        batches = list(self._batches(entity, component))
+        if not batches:
+            return [np.empty(0, np.int64) for _ in timelines], np.empty(0)
+        places = [np.concatenate([_integers(b.column(timeline)) for b in batches]) for timeline in timelines]
+        values = np.concatenate([_values(batch.column(component)) for batch in batches])
+        rows = np.concatenate([_row_numbers(batch) for batch in batches])
+        order = np.lexsort((rows[:, 1], rows[:, 0], places[0]))  # of one instant in the order of the bus
+        return [known[order] for known in places], values[order]
+
+    def rows(self, entity: str) -> int:
+        """How many rows an entity has."""
+        if self.stored.has(entity):
+            return self.stored.rows(entity)
+        return sum(chunk.num_rows for chunk in self.chunks.get(entity, ()) if not chunk.is_static)
+
+    @cached_property
+    def stored(self) -> StoredColumns:
+        """The numbers beside the recording; none if it carries them itself."""
+        thinned = f"/__properties/{THINNED}" in self.chunks
+        return StoredColumns(self.path.parent / FOLDER if thinned else None)
+
     def _column(self, entity: str, component: str, timeline: str) -> tuple[Array, Array]:
         """Places and values of a column, both (n), in the order of the timeline."""
         if timeline not in TIMELINES:
             raise RecordError(f"timeline {timeline!r} is not known; use one of {', '.join(TIMELINES)}")
-        batches = list(self._batches(entity, component))
-        if not batches:
-            return np.empty(0), np.empty(0)
-        places = np.concatenate([_integers(batch.column(timeline)) for batch in batches])
-        values = np.concatenate([_values(batch.column(component)) for batch in batches])
-        rows = np.concatenate([_row_numbers(batch) for batch in batches])
-        order = np.lexsort((rows[:, 1], rows[:, 0], places))  # rows of one instant in the order of the bus
-        return places[order] / TIMELINES[timeline], values[order]
+        (places,), values = self.integer_columns(entity, component, (timeline,))
+        return places / TIMELINES[timeline], values
 
     def _batches(self, entity: str, column: str) -> Iterator[pa.RecordBatch]:
         """The temporal parts of an entity that have this column."""
-        for chunk in self._chunks.get(entity, ()):
+        for chunk in self.chunks.get(entity, ()):
             if not chunk.is_static:
                 batch = chunk.to_record_batch()
                 if column in batch.schema.names:
@@ -220,6 +253,8 @@ def open_run(path: Path | str) -> Run:
             warning = f"{file}: this file is cut off, its end is missing"
     if not any(entity.startswith("/__properties/contract") for entity in chunks):
         raise RecordingUnreadable(f"{file}: no recording of a run (it does not carry its DBC)")
+    if f"/__properties/{THINNED}" in chunks and not (file.parent / FOLDER).is_dir():
+        warning = warning or f"{file}: {FOLDER}/ is not beside it: only the samples that are drawn are there"
     return Run(file, warning, chunks)
 
 

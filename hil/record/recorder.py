@@ -23,6 +23,7 @@ from hil.record.compact import compact
 from hil.record.dashboard import CHARTS, POSITION, Chart
 from hil.record.errors import RecordError
 from hil.record.frame_log import FrameLog
+from hil.record.log_formats import check_formats, convert_log, log_name
 from hil.record.pages import Pages
 from hil.record.rerun_sink import RerunSink
 from hil.record.rings import RingFeed
@@ -41,7 +42,9 @@ class RecorderOptions:
 
     `tick_ns` is needed in lockstep only. `rings` are the nodes' timing rings by process name; the first
     one counts the cycles. `start_ns` (epoch) is the time of tick 0 in lockstep, now if None. `position`
-    names the signal of the timeline of that name. `viewer_url`: a live viewer to send to as well.
+    names the signal of the timeline of that name. `viewer_url`: a live viewer to send to as well. `logs`:
+    formats in which the frame log is written again at the end (log_formats.FRAME_FORMATS). `thin`: all
+    numbers go to columns/ and run.rrd keeps what is drawn; else run.rrd keeps them.
     """
 
     directory: Path
@@ -53,6 +56,8 @@ class RecorderOptions:
     charts: Sequence[Chart] = CHARTS
     start_ns: int | None = None
     viewer_url: str | None = None
+    logs: Sequence[str] = ()
+    thin: bool = True
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,7 @@ class Recorder:
         self.options = options
         self.contract = contract
         recording_time = _recording_time(contract, options)
+        self._formats = check_formats(options.logs)
         try:
             options.directory.mkdir(parents=True, exist_ok=True)
             self._log = FrameLog(options.directory / FRAME_LOG)
@@ -122,6 +128,8 @@ class Recorder:
             charts=options.charts,
             position=options.position,
             processes=tuple(options.rings),
+            properties=options.properties,
+            lockstep=options.clock == "lockstep",
         )
         self._pages.describe(options.properties)
 
@@ -135,6 +143,10 @@ class Recorder:
         if now - self._flushed >= BLOCK_INTERVAL_S or len(self._pending) >= MOST_FRAMES_PER_BLOCK:
             self.flush()
 
+    def count(self, *, dropped: int, error_frames: int) -> None:
+        """Say what the bus interface has counted so far."""
+        self._pages.interface_counters = {"dropped": dropped, "error frames": error_frames}
+
     def flush(self) -> None:
         """Write everything that waits."""
         self._flushed = time.monotonic()
@@ -143,7 +155,7 @@ class Recorder:
         self._unknown.update(block.unknown)
         self._malformed.update(block.malformed)
         cycles = [(ring, cycles) for ring in self._rings if (cycles := ring.read()) is not None]
-        times_ns = self._pages.write(block, cycles)
+        times_ns = self._pages.write(block, cycles, frames)
         self._log.write(frames, times_ns.tolist())
 
     def close(self, *, dropped: int = 0, error_frames: int = 0) -> RecordingStats:
@@ -169,7 +181,15 @@ class Recorder:
         self._log.close()
         for ring in self._rings:
             ring.close()
-        compact(self.options.directory / RECORDING, self._pages.dashboard)
+        series = [series for chart in self.options.charts for series in chart.series]
+        compact(
+            self.options.directory / RECORDING,
+            self._pages.dashboard,
+            thin=self.options.thin,
+            held={source for those in series if those.step for source in those.sources},
+        )
+        others = [kind for kind in self._formats if log_name(kind) != FRAME_LOG]
+        convert_log(self.options.directory / FRAME_LOG, self.options.directory, others)
         files = (self.options.directory / name for name in (RECORDING, FRAME_LOG))
         self._stats = replace(stats, bytes={path.name: path.stat().st_size for path in files})
         return self._stats

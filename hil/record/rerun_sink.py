@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
+from PIL import Image
 
 from hil.record.timelines import Instants
 
@@ -41,6 +43,7 @@ class RerunSink:
         self._recording.set_sinks(*sinks, default_blueprint=blueprint)
         self._recording.set_log_time_enabled(False)
         self._recording.send_recording_name(name)
+        self._styled: set[str] = set()
 
     def start_time(self, start_ns: int) -> None:
         """Say when the recording began, epoch ns."""
@@ -121,6 +124,56 @@ class RerunSink:
             radii=rr.Radius.ui_points(0.1),
         )
         self._recording.log(entity, points, static=True)
+
+    def moving(
+        self,
+        entity: str,
+        instants: Instants,
+        strips: Sequence[NDArray[np.float64]],
+        color: int,
+        width: float,
+    ) -> None:
+        """Send n rows of one line of a plane drawing that moves; each strip is (m, 2)."""
+        if entity not in self._styled:
+            self._styled.add(entity)
+            style = rr.LineStrips2D.from_fields(
+                colors=np.array([color], dtype=np.uint32), radii=rr.Radius.ui_points(width / 2)
+            )
+            self._recording.log(entity, style, static=True)
+        columns = rr.LineStrips2D.columns(strips=list(strips))
+        self._recording.send_columns(entity, _time_columns(instants), columns)
+
+    def moving_points(
+        self, entity: str, instants: Instants, places: NDArray[np.float64], color: int, width: float
+    ) -> None:
+        """Send n rows of one point of a plane drawing that moves; `places` is (n, 2)."""
+        if entity not in self._styled:
+            self._styled.add(entity)
+            style = rr.Points2D.from_fields(
+                colors=np.array([color], dtype=np.uint32), radii=rr.Radius.ui_points(width), draw_order=50.0
+            )
+            self._recording.log(entity, style, static=True)
+        columns = rr.Points2D.columns(positions=places)
+        self._recording.send_columns(entity, _time_columns(instants), columns)
+
+    def image(self, entity: str, pixels: NDArray[np.uint8], *, moves: bool = False) -> None:
+        """Replace a picture, (height, width, 3); if it `moves`, only say how large its pictures are."""
+        if moves:
+            height, width = pixels.shape[:2]
+            format_ = rr.components.ImageFormat(
+                width=width, height=height, color_model="RGB", channel_datatype="U8"
+            )
+            self._recording.log(entity, rr.Image.from_fields(format=format_), static=True)
+        else:
+            encoded = io.BytesIO()
+            Image.fromarray(pixels).save(encoded, format="PNG")
+            picture = rr.EncodedImage(contents=encoded.getvalue(), media_type="image/png")
+            self._recording.log(entity, picture, static=True)
+
+    def moving_image(self, entity: str, instants: Instants, pixels: NDArray[np.uint8]) -> None:
+        """Send n pictures, (n, height, width, 3), of the size that `image` has told."""
+        columns = rr.Image.columns(buffer=[each.tobytes() for each in pixels])
+        self._recording.send_columns(entity, _time_columns(instants), columns)
 
     def flush(self) -> None:
         """Hand everything to the file."""

@@ -16,11 +16,13 @@ TIMING_COLUMNS: tuple[tuple[str, str], ...] = (
     ("wakeup_latency", "us"),
     ("read", "us"),
     ("step", "us"),
+    ("encode", "us"),
     ("send", "us"),
     ("period_error", "us"),
     ("missed", "cycles"),
 )
-"""What is recorded of every cycle: name and unit. `missed` counts from the start of the process."""
+"""What is recorded of every cycle: name and unit. `missed` counts from the start of
+the process."""
 
 NS_PER_US = 1e3
 
@@ -98,16 +100,18 @@ class RingFeed:
 
     def _timing(self, records: NDArray[np.void]) -> NDArray[np.float64]:
         scheduled, woke = records["scheduled_ns"], records["woke_ns"]
-        read, stepped, sent = records["read_ns"], records["stepped_ns"], records["sent_ns"]
+        read, stepped = records["read_ns"], records["stepped_ns"]
+        encoded, sent = records["encoded_ns"], records["sent_ns"]
         timing = np.zeros((len(records), len(TIMING_COLUMNS)))
         timing[:, 1] = (read - woke) / NS_PER_US
         timing[:, 2] = (stepped - read) / NS_PER_US
-        timing[:, 3] = (sent - stepped) / NS_PER_US
+        timing[:, 3] = (encoded - stepped) / NS_PER_US
+        timing[:, 4] = (sent - encoded) / NS_PER_US
         if self.header.clock == "realtime":
             timing[:, 0] = (woke - scheduled) / NS_PER_US
             before = woke[0] - self.header.period_ns if self._woke_ns is None else self._woke_ns
-            timing[:, 4] = (np.diff(woke, prepend=before) - self.header.period_ns) / NS_PER_US
+            timing[:, 5] = (np.diff(woke, prepend=before) - self.header.period_ns) / NS_PER_US
         missed = np.cumsum(records["missed"]) + self._missed
-        timing[:, 5] = missed
+        timing[:, 6] = missed
         self._woke_ns, self._missed = int(woke[-1]), int(missed[-1])
         return timing

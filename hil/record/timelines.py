@@ -41,6 +41,12 @@ class Instants:
         """The places of some rows."""
         return Instants(self.start_ns, self.bus_ns[rows], self.cycle[rows], self.position_mm[rows])
 
+    def from_start(self) -> Instants:
+        """The same, the first one moved to the start of the recording, where a drawing begins."""
+        bus_ns = self.bus_ns.copy()
+        bus_ns[:1] = self.start_ns
+        return Instants(self.start_ns, bus_ns, self.cycle, self.position_mm)
+
     @property
     def since_start_ns(self) -> Times:
         """Time since the start of the recording, ns."""

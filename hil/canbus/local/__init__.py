@@ -8,4 +8,8 @@
 `wire.py` is the format both sides speak, `address.py` where a channel's hub is found, `filters.py` what a
 client wants to receive, `hub.py` the process in the middle, `link.py` how a client joins (and starts a hub),
 `client.py` the python-can interface. The hub imports neither python-can nor numpy: it starts quickly.
+
+With a bit rate (`--bitrate`, `rates.py`) `timed.py` lets the frames through `medium.py`, the model of the
+wire: `bits.py` their exact length, `confinement.py` error counters and bus-off, `disturbance.py` errors made
+on purpose, `traffic.py` the load, `credit.py` the sender's transmit queue.
 """

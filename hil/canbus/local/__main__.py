@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 import signal
 import sys
@@ -12,17 +13,26 @@ from pathlib import Path
 
 from hil.canbus.local.address import AddressError, ChannelTakenError
 from hil.canbus.local.hub import HIGH_WATER_BYTES, STALL_LIMIT_S, Hub
+from hil.canbus.local.rates import RESTART_MS, TX_QUEUE_FRAMES, WireOptions
 
 EXIT_BAD_INPUT = 2
+
+LONGEST_LINGER_S = 7 * 24 * 3600
+"""A selector cannot sleep for any time: epoll takes 24 days at most."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the hub of one channel; 0: ended in order, or the channel has a hub already; 2: bad input."""
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    try:
+        timing = _timing(arguments)
+    except ValueError as error:
+        parser.error(str(error))
     try:
         hub = Hub(
             arguments.channel,
-            bitrate=arguments.bitrate,
+            timing=timing,
             linger_s=arguments.linger,
             high_water_bytes=arguments.high_water,
             stall_limit_s=arguments.stall_limit,
@@ -67,10 +77,29 @@ def _parser() -> argparse.ArgumentParser:
         "--bitrate",
         "-b",
         type=int,
-        help="reported only: frames go as fast as they can, a rate is not modelled",
+        metavar="BIT/S",
+        help="frames take their time on the wire (default: they go as fast as they can)",
     )
     parser.add_argument(
-        "--linger", type=float, metavar="S", help="end this many seconds after the last client left"
+        "--data-bitrate", type=int, metavar="BIT/S", help="of CAN FD frames with bit-rate switch"
+    )
+    parser.add_argument(
+        "--tx-queue",
+        type=int,
+        default=TX_QUEUE_FRAMES,
+        metavar="FRAMES",
+        help="with a bit rate: a sender is held when so many of its frames wait (default %(default)s)",
+    )
+    parser.add_argument(
+        "--restart-ms",
+        type=int,
+        default=RESTART_MS,
+        metavar="MS",
+        help="with a bit rate: a node that went bus-off is restarted after so long, 0: never"
+        " (default %(default)s)",
+    )
+    parser.add_argument(
+        "--linger", type=_linger_s, metavar="S", help="end this many seconds after the last client left"
     )
     parser.add_argument(
         "--priority", type=int, metavar="N", help="ask for SCHED_FIFO with this priority (1..99)"
@@ -96,6 +125,37 @@ def _parser() -> argparse.ArgumentParser:
         help="a client that then reads nothing for so long is removed (default %(default)s)",
     )
     return parser
+
+
+def _linger_s(text: str) -> float:
+    """An option in seconds: 0 to a week."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value <= LONGEST_LINGER_S:
+        raise argparse.ArgumentTypeError(
+            f"{text}: must be 0 to {LONGEST_LINGER_S} s; leave it out and the hub does not end by itself"
+        )
+    return value
+
+
+def _timing(arguments: argparse.Namespace) -> WireOptions | None:
+    """What the options say of the wire; ValueError: nothing that makes sense."""
+    if arguments.bitrate is None:
+        if arguments.data_bitrate is not None:
+            raise ValueError("--data-bitrate needs --bitrate")
+        return None
+    for name, least in (("bitrate", 1), ("data_bitrate", 1), ("tx_queue", 1), ("restart_ms", 0)):
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            raise ValueError(f"--{name.replace('_', '-')} {value} must be {least} or more")
+    return WireOptions(
+        arguments.bitrate,
+        arguments.data_bitrate,
+        tx_queue_frames=arguments.tx_queue,
+        restart_ms=arguments.restart_ms,
+    )
 
 
 def _ask_for_priority(priority: int) -> None:

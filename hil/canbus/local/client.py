@@ -12,8 +12,10 @@ from typing import Any
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
+from hil.canbus.error_frames import ErrorFrame
 from hil.canbus.frame import Frame
 from hil.canbus.local import address, link, wire
+from hil.canbus.local.confinement import State
 from hil.canbus.local.filters import pack_filters
 from hil.canbus.local.stream import NOT_DATA, HubLostError, Record, Stream, TransmitQueueFullError
 from hil.canbus.local.wire import (
@@ -40,13 +42,12 @@ __all__ = [
 
 DEFAULT_CHANNEL = "ato"
 
-OPTIONS = {"receive_own_messages", "fd", "bitrate", "autostart", "name"}
+OPTIONS = {"receive_own_messages", "fd", "bitrate", "data_bitrate", "autostart", "name"}
 """What a bus of this interface can be opened with, besides channel and filters."""
 
 IGNORED_OPTIONS = {
     "single_handle",
     "timing",
-    "data_bitrate",
     "local_loopback",
     "ignore_rx_error_frames",
     "state",
@@ -62,14 +63,17 @@ class HilBus(can.BusABC):
 
     Guarantees: no frame is lost, and all clients see all frames in the same order, that of their timestamps.
     A sender that is faster than the slowest receiver is held back. Own frames are received only when asked
-    for, with `is_rx` false. Does not model a bit rate, arbitration or bus load: frames go as fast as they
-    can.
+    for, with `is_rx` false. Without a bit rate frames go as fast as they can. With one they take their exact
+    time on the wire, the lowest identifier wins, and a frame is received (by its sender, too) when its last
+    bit was sent; errors on the wire and bus-off arrive as error frames, as on SocketCAN.
 
     :param channel: name of the bus; clients of the same user with the same name are on one bus.
     :param can_filters: applied in the hub, with SocketCAN's meaning (error frames always pass).
     :param receive_own_messages: whether own frames come back, in the order that all see.
     :param fd: whether CAN FD frames can be sent and are received; without it they are left out.
-    :param bitrate: reported in `channel_info` and by the hub, but not modelled.
+    :param bitrate: of the bus [bit/s], all clients have to agree; None: whatever the bus has (a bus that is
+        started by this client then has none).
+    :param data_bitrate: likewise for CAN FD frames with bit-rate switch.
     :param autostart: start a hub when the channel has none; it ends 2 s after its last client left.
     :param name: how the hub names this client in its messages (default: the program's name).
     :raises ~can.exceptions.CanInitializationError: when the bus cannot be joined; one line that says why.
@@ -82,6 +86,7 @@ class HilBus(can.BusABC):
         receive_own_messages: bool = False,
         fd: bool = False,
         bitrate: int | None = None,
+        data_bitrate: int | None = None,
         autostart: bool = True,
         name: str | None = None,
         **kwargs: Any,
@@ -95,6 +100,7 @@ class HilBus(can.BusABC):
             "receive_own": bool(receive_own_messages),
             "fd": bool(fd),
             "bitrate": None if bitrate is None else int(bitrate),
+            "data_bitrate": None if data_bitrate is None else int(data_bitrate),
             "filters": self._hub_filters,
         }
         try:
@@ -105,7 +111,7 @@ class HilBus(can.BusABC):
         self._is_filtered = True
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
         self.channel_info = f"hil channel '{self.channel}'" + (
-            "" if bitrate is None else f" ({bitrate} bit/s asked for, not modelled)"
+            "" if self._stream.bitrate is None else f" ({self._stream.bitrate} bit/s)"
         )
         super().__init__(channel=self.channel, can_filters=can_filters)
 
@@ -165,9 +171,16 @@ class HilBus(can.BusABC):
 
         One system call for all, and one wake-up of the hub: for what a node says at the end of a cycle.
         """
-        records = b"".join([self._raw_record(can_id, data) for can_id, data in frames])
-        if records:
-            self._stream.send(records, timeout)
+        pack = HEADER.pack
+        pieces: list[bytes | bytearray] = []
+        for can_id, data in frames:
+            length = len(data)
+            if can_id <= STANDARD_MASK and length <= _CLASSIC_LENGTH:
+                pieces += (pack(0, can_id, length, 0, length), data)
+            else:
+                pieces.append(self._raw_record(can_id, data))
+        if pieces:
+            self._stream.send(b"".join(pieces), timeout)
 
     def drain_raw(self) -> list[Frame]:
         """All data frames that wait, without blocking; raises can.CanOperationError when the hub has ended.
@@ -186,10 +199,11 @@ class HilBus(can.BusABC):
             record = self._stream.receive(timeout, read_ahead=True)
             if record is None:
                 return None
-            if not record[1] & NOT_DATA:
-                return Frame(record[0], record[1], record[2])
-            if record[1] & ERROR:
-                self._stream.error_frames += 1
+            stamp_ns, can_id, data, _, _ = record
+            if not can_id & NOT_DATA:
+                return Frame(stamp_ns, can_id, data)
+            if can_id & ERROR:
+                self._stream.note_error(can_id, data)
             if deadline_s is not None:
                 timeout = max(0.0, deadline_s - time.monotonic())
 
@@ -197,6 +211,26 @@ class HilBus(can.BusABC):
     def error_frames(self) -> int:
         """Error frames that `drain_raw` and `recv_raw` have met and left out."""
         return self._stream.error_frames
+
+    @property
+    def bus_state(self) -> State:
+        """State of this client's error confinement, as the error frames told it."""
+        return self._stream.bus_state
+
+    @property
+    def error_counters(self) -> tuple[int, int] | None:
+        """Transmit and receive error counter that an error frame told last."""
+        return self._stream.error_counters
+
+    @property
+    def last_error(self) -> ErrorFrame | None:
+        """The last error frame that `drain_raw` or `recv_raw` has met, decoded."""
+        return self._stream.last_error
+
+    @property
+    def tx_pending(self) -> int:
+        """Frames of this client that still wait for the wire, as far as it has read; 0 without a bit rate."""
+        return self._stream.credit.pending
 
     def statistics(self) -> dict[str, Any]:
         """What the hub knows: frames forwarded, clients, their backlogs; raises can.CanOperationError."""

@@ -29,7 +29,8 @@ class Connection:
         self.acceptance: Acceptance | None = None
         self.partial = b""  # start of a record whose rest has not arrived
         self.backlog = bytearray()
-        self.at_mark = False  # the backlog is so long that nobody may add to it
+        self.feeders: set[int] = set()  # numbers of those who added to the backlog
+        self.at_mark = False  # the backlog is so long that they may not go on
         self.deaf = False  # writing failed; what it sent before that is still read
         self.events = selectors.EVENT_READ
         self.frames_sent = 0
@@ -38,11 +39,6 @@ class Connection:
 
     def __str__(self) -> str:
         return f"'{self.name}' (process {self.pid})" if self.number else "without a name"
-
-    @property
-    def open(self) -> bool:
-        """Whether the connection has not been closed here."""
-        return self.sock.fileno() >= 0
 
     def introduce(self, number: int, content: dict[str, Any]) -> None:
         """Take over what a HELLO says; raises WireError when it makes no sense."""

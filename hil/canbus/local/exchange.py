@@ -18,16 +18,23 @@ class Exchange:
     """The clients that have joined.
 
     Frames go to all members but the sender, in the order of `forward`. What a member does not take at once
-    stays in its backlog. A backlog at the high-water mark holds everybody who adds to it, until half of it is
-    taken. `changed` is called with each connection whose events have to be looked at again (None: all).
+    stays in its backlog. A backlog at the high-water mark holds everybody who has added to it, until half of
+    it is taken. `changed` is called with each connection whose events have to be looked at again (None: all).
     """
 
     def __init__(self, high_water_bytes: int, changed: Callable[[Connection | None], None]) -> None:
         self.members: list[Connection] = []
         self.frames = 0
+        self.at_mark = 0
+        """Members whose backlog is at the high-water mark."""
         self._high_water = high_water_bytes
         self._changed = changed
         self._last_stamp_ns = 0
+
+    def admit(self, client: Connection) -> dict[str, Any]:
+        """A client joins; what its WELCOME says beyond its number."""
+        self.members.append(client)
+        return {}
 
     def begin_stamps(self) -> int:
         """The time before that of the next frame, CLOCK_REALTIME ns; never earlier than the last frame's."""
@@ -48,10 +55,17 @@ class Exchange:
                 if not client.receive_own:
                     continue
                 chosen = marked_own(records)
-            if client.acceptance is not None or (with_fd and not client.fd):
-                chosen = select_records(chosen, client.acceptance, fd=client.fd)
-            if chosen:
-                self.deliver(client, chosen)
+            acceptance = client.acceptance
+            if acceptance is not None or (with_fd and not client.fd):
+                chosen = select_records(chosen, acceptance, fd=client.fd)
+                if not chosen:
+                    continue
+            if client.deliver(chosen):
+                if sender.number not in client.feeders:
+                    client.feeders.add(sender.number)
+                    if client.at_mark:
+                        self._changed(sender)
+                self._mind(client)
 
     def tell(self, client: Connection, code: wire.Control, content: dict[str, Any]) -> None:
         """Hand over a control record, behind the frames that are on their way."""
@@ -68,8 +82,10 @@ class Exchange:
         self._mind(client)
 
     def held(self, client: Connection) -> bool:
-        """Whether no frames may be taken from `client` now: they would add to a backlog at the mark."""
-        return any(other.at_mark and (other is not client or client.receive_own) for other in self.members)
+        """Whether no frames may be taken from `client` now: some of late went to a backlog at the mark."""
+        if not self.at_mark:
+            return False
+        return any(other.at_mark and client.number in other.feeders for other in self.members)
 
     def stalled(self, limit_s: float) -> tuple[list[Connection], float | None]:
         """The members at the mark that read nothing for `limit_s`, and when to look again (s from now)."""
@@ -83,6 +99,8 @@ class Exchange:
         if client in self.members:
             self.members.remove(client)
         if client.at_mark:
+            client.at_mark = False
+            self.at_mark -= 1
             self._changed(None)
 
     def statistics(self) -> dict[str, Any]:
@@ -109,10 +127,13 @@ class Exchange:
         """Follow a change of a client's backlog."""
         limit = self._high_water // 2 if client.at_mark else self._high_water
         at_mark = len(client.backlog) >= limit
+        if not client.backlog or (client.at_mark and not at_mark):
+            client.feeders.clear()
         if at_mark == client.at_mark:
             self._changed(client)
             return
         client.at_mark = at_mark
+        self.at_mark += 1 if at_mark else -1
         if at_mark:
             client.note_progress()
         self._changed(None)

@@ -66,14 +66,19 @@ class Acceptance:
         return False
 
 
-def select_records(records: bytes | bytearray, acceptance: Acceptance | None, *, fd: bool) -> bytes:
+def select_records(
+    records: bytes | bytearray, acceptance: Acceptance | None, *, fd: bool
+) -> bytes | bytearray:
     """The whole records in `records` that a client gets; without `fd` CAN FD frames are left out."""
     chosen = []
     offset, size = 0, len(records)
+    unpack_from = HEADER.unpack_from
     while offset < size:
-        _, can_id, length, flags, _ = HEADER.unpack_from(records, offset)
+        _, can_id, length, flags, _ = unpack_from(records, offset)
         end = offset + HEADER_SIZE + length
         if (fd or not flags & FD) and (acceptance is None or acceptance.accepts(can_id)):
+            if end - offset == size:
+                return records  # the only one, as it is
             chosen.append(records[offset:end])
         offset = end
     return b"".join(chosen)

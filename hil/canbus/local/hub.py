@@ -1,12 +1,12 @@
 """Local bus, the hub: takes every client's frames, stamps them, hands them to all others in one order.
 
 One thread, one `select`. Nothing is ever dropped: what a client has not read yet waits here (its
-backlog). When a backlog passes the high-water mark, the hub stops reading from everybody who adds to
+backlog). When a backlog passes the high-water mark, the hub stops reading from everybody who added to
 it, so their sockets fill and their `send` times out; when the owner of the backlog has then read
 nothing for `stall_limit_s`, it is removed.
 
-Frames go as fast as they can, as on vcan: a bit rate is not modelled, and the hub says so when asked
-for one.
+Without a bit rate frames go as fast as they can, as on vcan; with one they take their time on the wire
+(`timed.py`).
 """
 
 from __future__ import annotations
@@ -18,13 +18,18 @@ import socket
 import sys
 import time
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.canbus.local import wire
 from hil.canbus.local.address import Claim
 from hil.canbus.local.connection import Connection
 from hil.canbus.local.exchange import Exchange
+from hil.canbus.local.polling import Epoll, Polling, fast_selector
+from hil.canbus.local.rates import WireOptions, refused_bitrate
 from hil.canbus.local.wire import CONTROL, FD, HEADER, HEADER_SIZE, STAMP, Control, WireError
+
+if TYPE_CHECKING:
+    from hil.canbus.local.timed import TimedExchange
 
 HIGH_WATER_BYTES = 8 << 20
 """About 350,000 classic frames: minutes of a bench's traffic, a second of a flood."""
@@ -33,6 +38,7 @@ STALL_LIMIT_S = 10.0
 FIRST_CLIENT_S = 10.0  # how long a lingering hub waits for its first client
 
 _CHUNK_BYTES = 32 << 10  # read from one client before the next one has its turn
+_READ, _WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 _FAREWELL_S = 0.5  # to hand out what waits when the hub ends
 
 
@@ -48,29 +54,37 @@ class Hub:
         self,
         channel: str,
         *,
-        bitrate: int | None = None,
+        timing: WireOptions | None = None,
         linger_s: float | None = None,
         high_water_bytes: int = HIGH_WATER_BYTES,
         stall_limit_s: float = STALL_LIMIT_S,
     ) -> None:
         self.channel = channel
         self.claim = Claim(channel)
-        self._bitrate = bitrate
+        self._timing = timing
         self._linger_s = linger_s
         self._stall_limit_s = stall_limit_s
         self._connections: dict[int, Connection] = {}
-        self._exchange = Exchange(high_water_bytes, self._set_events)
-        self._selector = selectors.DefaultSelector()
+        self._timed: TimedExchange | None = None
+        self._selector: selectors.BaseSelector | Epoll
+        if timing is None:
+            self._exchange = Exchange(high_water_bytes, self._set_events)
+            self._selector = fast_selector()
+        else:
+            from hil.canbus.local.timed import TimedExchange, precise_selector
+
+            self._exchange = self._timed = TimedExchange(high_water_bytes, self._set_events, timing)
+            self._selector = precise_selector()
         self._wake_read, self.wake_write = socket.socketpair()
         self._wake_read.setblocking(False)
         self.wake_write.setblocking(False)
+        self._polling = Polling()
         self._parent: int | None = None
         self._ending: str | None = None
         self._empty_since_s = time.monotonic() + max(0.0, FIRST_CLIENT_S - (linger_s or 0.0))
         self._joined = 0
         self._started_s = time.monotonic()
         self._removed: deque[tuple[int, str]] = deque(maxlen=64)
-        self._bitrate_mentioned = False
         self._selector.register(self.claim.listener, selectors.EVENT_READ, self._accept)
         self._selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
 
@@ -89,17 +103,18 @@ class Hub:
     def serve(self) -> str:
         """Serve the clients until the end; returns why it ended. The channel is free afterwards."""
         self.claim.write_pid()
-        if self._bitrate is not None:
-            self._mention_bitrate(f"{self._bitrate} bit/s asked for")
         try:
             while self._ending is None:
-                self._turn(self._remove_stalled())
-                if self._linger_left_s() == 0.0:
+                held = self._exchange.at_mark or not self._connections
+                self._turn(self._remove_stalled() if held else None)
+                if not self._connections and self._linger_left_s() == 0.0:
                     self._ending = "nobody was left"
             # What reached the hub before the end is still delivered.
             deadline_s = time.monotonic() + _FAREWELL_S / 2
             while self._turn(0.0) and time.monotonic() < deadline_s:
                 pass
+            if self._timed is not None:
+                self._timed.finish()
         finally:
             self._close(self._ending or "an internal error")
         return self._ending
@@ -109,7 +124,7 @@ class Hub:
         return {
             "channel": self.channel,
             "pid": os.getpid(),
-            "bitrate": self._bitrate,
+            "bitrate": None,
             "uptime_s": round(time.monotonic() - self._started_s, 3),
             "removed": [{"number": number, "reason": reason} for number, reason in self._removed],
             **self._exchange.statistics(),
@@ -117,16 +132,22 @@ class Hub:
 
     def _turn(self, timeout_s: float | None) -> int:
         """Wait for sockets and serve those that are ready; returns how many."""
-        ready = self._selector.select(timeout_s)
+        if self._timed is None:
+            ready = self._polling.select(self._selector, timeout_s)
+        else:
+            ready = self._selector.select(self._timed.wait_s(timeout_s))
         for key, events in ready:
             client = key.data
             if not isinstance(client, Connection):
                 client()
                 continue
-            if events & selectors.EVENT_WRITE and client.open:
+            # Once more with what it is watched for now: one before it may have had it held or removed.
+            if events & _WRITE & client.events:
                 self._exchange.flush(client)
-            if events & selectors.EVENT_READ and client.open:
+            if events & _READ & client.events:
                 self._read(client)
+        if self._timed is not None:
+            self._timed.advance()
         return len(ready)
 
     def _linger_left_s(self) -> float | None:
@@ -165,7 +186,7 @@ class Hub:
             self._remove(client, "is gone without a goodbye" if client.number else None)
             return
         try:
-            self._digest(client, bytearray(client.partial + chunk))
+            self._digest(client, bytearray(client.partial + chunk if client.partial else chunk))
         except WireError as error:
             self._exchange.tell(
                 client, Control.ENDED, {"reason": f"the hub could not read what it sent: {error}"}
@@ -175,8 +196,8 @@ class Hub:
     def _digest(self, client: Connection, records: bytearray) -> None:
         """Stamp the frames in `records` and forward them; act on control records in between."""
         unpack_from, pack_into = HEADER.unpack_from, STAMP.pack_into
-        stamp_ns = self._exchange.begin_stamps()
         size = len(records)
+        stamp_ns = self._exchange.begin_stamps()
         first = offset = count = 0
         with_fd = False
         while offset + HEADER_SIZE <= size:
@@ -200,7 +221,7 @@ class Hub:
                 if flags & FD:
                     with_fd = True
             offset = end
-        client.partial = bytes(records[offset:])
+        client.partial = bytes(records[offset:]) if offset < size else b""
         if count:
             whole = records[first:offset] if first or offset < size else records
             self._exchange.forward(client, whole, count, stamp_ns, with_fd=with_fd)
@@ -217,6 +238,12 @@ class Hub:
         if code == Control.QUERY:
             self._exchange.tell(client, Control.STATISTICS, self.statistics())
             return True
+        if code == Control.DISTURB:
+            if self._timed is None:
+                raise WireError("a bus without a bit rate has no errors on the wire")
+            self._timed.disturb(content)
+            self._exchange.tell(client, Control.DISTURBED, {})
+            return True
         if code == Control.GOODBYE:
             self._remove(client, None)
             return False
@@ -228,12 +255,16 @@ class Hub:
                 f"it speaks protocol {content.get('protocol')}, the hub {wire.PROTOCOL_VERSION}; "
                 "both must be of the same version"
             )
+        refusal = refused_bitrate(self._timing, content)
+        if refusal is not None:
+            self._exchange.tell(client, Control.ENDED, {"reason": refusal, "refused": True})
+            self._remove(client, f"was refused: {refusal}")
+            return False
         client.introduce(self._joined + 1, content)
         self._joined += 1
-        self._exchange.members.append(client)
-        if content.get("bitrate") is not None:
-            self._mention_bitrate(f"client {client} asks for {content['bitrate']} bit/s")
-        self._exchange.tell(client, Control.WELCOME, {"number": client.number, "pid": os.getpid()})
+        wire_facts = self._exchange.admit(client)
+        welcome = {"number": client.number, "pid": os.getpid(), **wire_facts}
+        self._exchange.tell(client, Control.WELCOME, welcome)
         return True
 
     def _set_events(self, changed: Connection | None) -> None:
@@ -292,11 +323,6 @@ class Hub:
         self._selector.close()
         self._wake_read.close()
         self.wake_write.close()
-
-    def _mention_bitrate(self, who: str) -> None:
-        if not self._bitrate_mentioned:
-            self._bitrate_mentioned = True
-            self._say(f"{who}: bit rates are not modelled, frames go as fast as they can")
 
     def _say(self, text: str) -> None:
         with contextlib.suppress(OSError, ValueError):

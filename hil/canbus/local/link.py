@@ -54,20 +54,38 @@ def join(
         if now_s > deadline_s:
             raise JoinError(f"channel '{channel}' of the local bus: a hub was started but cannot be joined")
         if now_s - started_s >= _RESTART_S:
-            start_hub(channel, bitrate=hello.get("bitrate"))
+            start_hub(channel, bitrate=hello.get("bitrate"), data_bitrate=hello.get("data_bitrate"))
             started_s = now_s
         else:
             time.sleep(0.01)
 
 
-def start_hub(channel: str, *, bitrate: int | None = None, linger_s: float = LINGER_S) -> None:
-    """Start a hub of its own session that ends `linger_s` after its last client; raises JoinError.
+def start_hub(
+    channel: str,
+    *,
+    bitrate: int | None = None,
+    data_bitrate: int | None = None,
+    tx_queue_frames: int | None = None,
+    restart_ms: int | None = None,
+    linger_s: float | None = LINGER_S,
+) -> None:
+    """Start a hub of its own session that ends `linger_s` after its last client (None: never).
+
+    Raises JoinError.
 
     Returns when it listens. That another hub has the channel meanwhile is no error.
     """
-    command = [sys.executable, "-m", "hil.canbus.local", "--channel", channel, "--linger", f"{linger_s:g}"]
+    command = [sys.executable, "-m", "hil.canbus.local", "--channel", channel]
+    if linger_s is not None:
+        command += ["--linger", f"{linger_s:g}"]
     if bitrate is not None:
         command += ["--bitrate", str(bitrate)]
+        if data_bitrate is not None:
+            command += ["--data-bitrate", str(data_bitrate)]
+        if tx_queue_frames is not None:
+            command += ["--tx-queue", str(tx_queue_frames)]
+        if restart_ms is not None:
+            command += ["--restart-ms", str(restart_ms)]
     root = Path(__file__).parents[3]  # where `hil` is importable from, whatever the caller's folder
     if hasattr(os, "fork"):
         done = subprocess.run(
@@ -108,11 +126,26 @@ def query(channel: str, timeout_s: float = 1.0) -> dict[str, Any]:
         return content
 
 
+def disturb(channel: str, timeout_s: float = 1.0, **disturbance: Any) -> None:
+    """Let transmissions on a channel with a bit rate meet errors; keywords: those of `Disturbance` that JSON
+    can hold, or `clear=True` to end it.
+
+    Raises NoHubError when there is no hub, WireError when it refuses, OSError when it does not answer.
+    """
+    with address.connect(channel, timeout_s) as sock:
+        sock.sendall(wire.control_record(Control.DISTURB, disturbance))
+        code, content = _answer(sock)
+        if code != Control.DISTURBED:
+            raise WireError(f"hub of channel '{channel}': {content.get('reason', code)}")
+
+
 def _say_hello(channel: str, hello: dict[str, Any]) -> tuple[socket.socket, dict[str, Any]]:
     sock = address.connect(channel, _ANSWER_LIMIT_S)
     try:
         sock.sendall(wire.control_record(Control.HELLO, hello | {"protocol": wire.PROTOCOL_VERSION}))
         code, content = _answer(sock)
+        if code == Control.ENDED and content.get("refused"):
+            raise JoinError(f"channel '{channel}' of the local bus: {content.get('reason')}")
         if code == Control.ENDED and "could not read" not in str(content.get("reason")):
             raise ConnectionResetError
         if code != Control.WELCOME:

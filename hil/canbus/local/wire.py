@@ -8,7 +8,7 @@ A record is a 16-byte little-endian header and 0..64 bytes of data (a control re
     uint8  flags          BRS, ESI, FD as in canfd_frame.flags; OWN: the receiver's own frame; CONTROL
     uint8  dlc            data length that a remote frame asks for
 
-In a control record `can_id` holds the `Control` code and the data is JSON.
+In a control record `can_id` holds the `Control` code and the data is JSON (binary in SENT).
 """
 
 from __future__ import annotations
@@ -47,14 +47,17 @@ _SELECT_LIMIT = 1024  # select() takes file numbers below FD_SETSIZE only
 class Control(IntEnum):
     """What a control record says."""
 
-    HELLO = 1  # client -> hub: protocol, name, pid, receive_own, fd, bitrate, filters
-    WELCOME = 2  # hub -> client: client number, hub's pid; from here on the client receives
+    HELLO = 1  # client -> hub: protocol, name, pid, receive_own, fd, bitrate, data_bitrate, filters
+    WELCOME = 2  # hub -> client: client number, hub's pid, bit rate; from here on the client receives
     FILTERS = 3  # client -> hub: new filters, and a generation number
     FILTERED = 4  # hub -> client: the filters of that generation apply from here on
     GOODBYE = 5  # client -> hub: leaves on purpose
     ENDED = 6  # hub -> client: the hub ends, or removes this client; why
     QUERY = 7  # instead of HELLO: asks for statistics, does not join
     STATISTICS = 8  # hub -> asker
+    SENT = 9  # hub with a bit rate -> client: how many of its frames are done (binary, see `credit.py`)
+    DISTURB = 10  # instead of HELLO: make errors on the wire, of which kind
+    DISTURBED = 11  # hub -> asker
 
 
 class WireError(ValueError):

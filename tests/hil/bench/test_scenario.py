@@ -3,6 +3,7 @@ import tomllib
 import pytest
 
 from hil.bench.scenario import load_scenario
+from hil.node.options import parse
 from hil.railway.library import list_scenarios
 
 
@@ -60,3 +61,25 @@ def test_unknown_top_level_table_is_refused(load, tmp_path):
     (tmp_path / "mine.toml").write_text(shipped.read_text() + "\n[controler]\nlaw = 'pid'\n")
     with pytest.raises(ValueError, match="controler"):
         load(tmp_path / "mine.toml")
+
+
+def test_timing_table_becomes_a_command_line_that_the_nodes_understand(load, tmp_path):
+    timing = load(
+        "cat_linh_la_thanh", "timing.startup_grace_s=0.5", "timing.max_overloads=7", "timing.spin_us=150",
+        "timing.max_consecutive_overloads=2", "timing.rehearsal=false",
+    ).timing  # fmt: skip
+    options = parse(["--scenario", "x.toml", *timing.arguments()], program="node")
+    assert (options.overload_grace_s, options.max_misses, options.max_consecutive_misses) == (0.5, 7, 2)
+    assert (options.spin_ns, options.rehearse) == (150_000, False)
+    default = parse(["--scenario", "x.toml", *load("cat_linh_la_thanh").timing.arguments()], program="node")
+    assert default == parse(["--scenario", "x.toml"], program="node")
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["timing.max_overloads=-1", "timing.startup_grace_s=-0.1", "timing.spin_us=often", "timing.x=1"],
+)
+def test_timing_that_makes_no_sense_names_its_key(load, override):
+    with pytest.raises(ValueError, match=override.split("=")[0]) as caught:
+        load("cat_linh_la_thanh", override)
+    assert caught.value.exit_code == 2

@@ -345,15 +345,6 @@ def test_record_in_pieces_is_put_together(channel, start_hub):
 # -- options ----------------------------------------------------------------------------------------------
 
 
-def test_bit_rate_is_reported_but_not_pretended(channel, start_hub):
-    hub = start_hub(channel)
-    with HilBus(channel, bitrate=500_000) as bus, HilBus(channel, bitrate=500_000):
-        assert bus.channel_info == f"hil channel '{channel}' (500000 bit/s asked for, not modelled)"
-    _, _, err = hub.end(signal.SIGTERM)
-    assert err.count("\n") == 1
-    assert "asks for 500000 bit/s: bit rates are not modelled, frames go as fast as they can" in err
-
-
 def test_refused_priority_is_one_line_and_not_fatal(channel, spawn):
     script = (
         "import os, sys\n"

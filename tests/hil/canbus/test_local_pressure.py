@@ -69,6 +69,18 @@ def fill(bus, limit=1_000_000):
     return None
 
 
+def fill_and_read(sender, reader):
+    """Send until the queue is full because of somebody else, while `reader` reads all."""
+    for _ in range(1_000_000):
+        try:
+            sender.send_raw(0x100, bytes(8), 0.3)
+        except can.CanOperationError:
+            break
+        reader.drain_raw()
+    while reader.recv_raw(0.05) is not None:
+        pass
+
+
 def test_burst_of_four_senders_reaches_all_complete_and_in_one_order(channel, start_hub, spawn):
     each, senders = 25_000, 4
     hub = start_hub(channel)
@@ -123,6 +135,52 @@ def test_slow_receiver_does_not_hold_back_its_own_frames(channel, start_hub):
         fill(sender)
         slow.send_raw(0x200, b"here", WAIT_S)
         assert sender.recv_raw(WAIT_S).data == b"here"
+
+
+def test_slow_receiver_holds_back_only_those_whose_frames_it_wants(channel, start_hub):
+    start_hub(channel, "--high-water", "100000")
+    wanted = [{"can_id": 0x100, "can_mask": 0x7FF}]
+    with HilBus(channel, can_filters=wanted) as slow, HilBus(channel) as sender, HilBus(channel) as other:
+        fill_and_read(sender, other)
+        for n in range(20_000):  # several times the mark, and more than the kernel would keep
+            other.send_raw(0x200, n.to_bytes(8, "little"), WAIT_S)
+            assert all(frame.can_id == 0x200 for frame in sender.drain_raw())
+        stalled = [client["stalled"] for client in other.statistics()["clients"]]
+        assert stalled == [True, False, False]
+        with pytest.raises(can.CanOperationError, match="transmit queue full"):  # noqa: PT012
+            for _ in range(1000):
+                sender.send_raw(0x100, bytes(8), 0)
+        assert fill(other)[0] > 0  # no more than sockets keep is taken of those that the slow one wants
+        assert slow.recv_raw(WAIT_S) is not None
+
+
+def test_newcomer_may_join_while_others_are_held(channel, start_hub):
+    start_hub(channel, "--high-water", "100000")
+    with HilBus(channel), HilBus(channel) as sender:
+        fill(sender)
+        with HilBus(channel) as newcomer:
+            newcomer.send_raw(0x200, b"new", WAIT_S)
+            assert sender.recv_raw(WAIT_S).data == b"new"
+
+
+def test_burst_on_a_single_processor_is_complete_and_in_order(channel, start_hub, spawn):
+    each, senders = 2_500, 4
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})  # the children inherit it
+    try:
+        start_hub(channel, "--priority", "50")  # taken where it is allowed: then all the more
+        receivers = [spawn("-c", RECEIVER, channel, str(each * senders)) for _ in range(2)]
+        sources = [spawn("-c", SENDER, channel, str(0x100 + k), str(each)) for k in range(senders)]
+    finally:
+        os.sched_setaffinity(0, before)
+    for process in (*receivers, *sources):
+        process.wait_for_line("ready")
+    with HilBus(channel, can_filters=[{"can_id": 0, "can_mask": 0x7FF}]) as starter:
+        starter.send_raw(0x7FF, b"")
+        results = [receiver.end() for receiver in receivers]
+    assert [result[2] for result in results] == ["", ""]
+    assert results[0][1] == results[1][1]
+    assert results[0][1].startswith(f"{each * senders} {senders} ")
 
 
 def test_stopped_receiver_holds_back_then_goes_on_where_it_was(channel, start_hub, spawn):

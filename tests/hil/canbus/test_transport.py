@@ -357,7 +357,10 @@ def test_impossible_channel_is_a_wrong_option():
 
 def test_unknown_option_is_a_wrong_option(channel):
     text, code = refusal(BusOptions("hil", channel, extra={"autostrat": False}), BusOptionsError)
-    assert "no option 'autostrat'; it has autostart, bitrate, fd, name, receive_own_messages" in text
+    assert (
+        "no option 'autostrat'; it has autostart, bitrate, data_bitrate, fd, name, receive_own_messages"
+        in text
+    )
     assert code == 2
 
 

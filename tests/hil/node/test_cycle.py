@@ -171,7 +171,8 @@ def test_report_counts_frames_and_received_messages(bench, protected):
     b.cycles(20)
     report = b.node.report()
     assert report["e2e"] == {"ODO_Motion": {"ok": 2, "rejected": 2, "lost": 0, "timeouts": 1}}
-    assert report["frames"] == {"sent": len(b.transport.log), "received": 4, "dropped": 0}
+    counted = {name: report["frames"][name] for name in ("sent", "received", "dropped", "error_frames")}
+    assert counted == {"sent": len(b.transport.log), "received": 4, "dropped": 0, "error_frames": 0}
 
 
 def test_warm_up_sends_nothing_and_leaves_no_trace(bench, contract):

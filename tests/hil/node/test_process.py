@@ -16,7 +16,7 @@ import pytest
 
 from hil.canbus.contract import Contract
 from hil.canbus.transport import BusOptions
-from hil.node import NodeOptions, NodeProcess, TimingReader
+from hil.node import DeadlinesMissed, NodeOptions, NodeProcess, TimingReader
 
 # A node on python-can's in-process bus; what a listener on that bus saw is printed when the node has ended.
 SCRIPT = """
@@ -130,6 +130,9 @@ def test_signal_ends_the_node_with_safe_outputs_as_last_frames(start, status, co
         ended["cycles"] < 15  # ended before the message's silence limit
     )
     assert ended["rights"]["garbage_collector"]["state"] == "granted"
+    assert ended["spin"]["mode"] in ("auto", "off")
+    assert 0 <= ended["spin"]["cpu_share"] <= 0.25
+    assert set(ended["execution_us"]) == {"wakeup_latency", "read", "step", "encode", "send", "execution"}
     assert {"missed", "max_consecutive_misses", "period_ns"} <= set(ended)
 
 
@@ -157,6 +160,10 @@ def test_traceback_is_there_for_who_asks(start):
         (["--priority", "100"], "100 must be 0 to 99"),
         (["--cpu", "first"], "'first' is no integer"),
         (["--peer-timeout", "-1"], "greater than 0"),
+        (["--spin-us", "some"], "'some' is no integer"),
+        (["--spin-us", "-1"], "-1 must be 0 or more"),
+        (["--overload-grace", "-1"], "0 or greater"),
+        (["--max-misses", "few"], "'few' is no integer"),
         (["--no-such-option"], "--no-such-option"),
         (["--scenario", "no_such.toml"], "no_such.toml"),
         (["--dbc", "no_such.dbc"], "no_such.dbc"),
@@ -293,6 +300,34 @@ def test_status_file_is_replaced_as_a_whole(contract, fakes, tmp_path):
         process.write_status("ended", exit_reason="test", exit_code=0)
     assert json.loads((tmp_path / "status.json").read_text())["state"] == "ended"
     assert [path.name for path in tmp_path.iterdir()] == ["status.json"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "mode", "margin_ns"), [({"spin_ns": 0}, "off", 0), ({"spin_ns": 120_000}, "fixed", 120_000)]
+)
+def test_spin_asked_for_is_the_one_that_is_reported(fakes, tmp_path, arguments, mode, margin_ns):
+    options = NodeOptions(scenario=tmp_path, bus=BusOptions("virtual", "spin"), priority=0, **arguments)
+    with NodeProcess(options, lambda *_: fakes.Unit(), real_time=False) as process:
+        spin = process.node.report()["spin"]
+    assert (spin["mode"], spin["margin_ns"]) == (mode, margin_ns)
+
+
+def test_overload_limits_of_the_command_line_halt_the_node(fakes, tmp_path):
+    """Every cycle takes three periods; the node ends with safe outputs, as asked."""
+    unit = fakes.Unit(period_ns=2_000_000)
+    unit.on_step = lambda: time.sleep(0.006)
+    options = NodeOptions(
+        scenario=tmp_path,
+        bus=BusOptions("virtual", "overload"),
+        priority=0,
+        overload_grace_s=0.0,
+        max_misses=8,
+    )
+    with NodeProcess(options, lambda *_: unit, real_time=False) as process:
+        with pytest.raises(DeadlinesMissed, match="in all"):
+            process.run(lambda: len(unit.steps) > 1000)
+        assert 1 < len(unit.steps) <= 9
+        assert process.node.statistics.missed > 8
 
 
 def test_missing_contract_message_leaves_no_open_bus(fakes, tmp_path):

@@ -28,7 +28,7 @@ class Library:
 
 
 @pytest.fixture
-def system(monkeypatch):
+def system(monkeypatch, tmp_path):
     """A system that grants everything and records it; the tests take back what they need."""
     granted = {"calls": []}
     library = Library()
@@ -39,10 +39,18 @@ def system(monkeypatch):
             os, name, lambda *given, name=name: granted["calls"].append((name, given[1])), raising=False
         )
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1}, raising=False)
+    granted["dma_latency"] = tmp_path / "cpu_dma_latency"
+    granted["dma_latency"].touch()
+    held = []
+    monkeypatch.setattr(realtime, "DMA_LATENCY", granted["dma_latency"])
+    monkeypatch.setattr(realtime, "_held", held)
+    granted["held"] = held
     for name in ("collect", "freeze", "disable"):
         monkeypatch.setattr(gc, name, lambda name=name: granted["calls"].append((name,)))
     granted["library"] = library
-    return granted
+    yield granted
+    for handle in held:
+        os.close(handle)
 
 
 def refuse(number):
@@ -107,15 +115,18 @@ def test_what_was_not_asked_for_is_neither_granted_nor_refused(system):
     assert not [call for call in system["calls"] if call[0].startswith("sched")]
 
 
-def test_platform_without_these_calls_says_so(system, monkeypatch):
+def test_platform_without_these_calls_says_so(system, monkeypatch, tmp_path):
     def missing():
         raise AttributeError("not Linux")
 
     monkeypatch.setattr(realtime, "_c_library", missing)
     monkeypatch.delattr(os, "sched_setscheduler")
     monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(realtime, "DMA_LATENCY", tmp_path / "none")
+    monkeypatch.setattr(realtime.sys, "platform", "darwin")
     rights = realtime.request(50, 0)
     assert {right.name for right in rights.refused} == {
+        "cpu_idle",
         "sched_fifo",
         "memory_lock",
         "timer_slack",
@@ -136,3 +147,44 @@ def test_own_limits_can_be_read():
     limit = realtime._lock_limit()
     assert limit is None or limit >= 0
     assert realtime._mapped_bytes() > 2**20
+
+
+def test_deep_idle_is_forbidden_by_a_file_that_stays_open(system):
+    right = realtime.request(50, None).cpu_idle
+    assert right.granted
+    assert system["dma_latency"].read_bytes() == bytes(4)  # int32 0: no microsecond of wake-up latency
+    [handle] = system["held"]
+    os.fstat(handle)  # still open: the kernel drops the request when it is closed
+    realtime.request(50, None)
+    assert system["held"] == [handle]
+
+
+def test_deep_idle_of_another_users_machine_names_the_udev_rule_and_the_container_flag(system, monkeypatch):
+    monkeypatch.setattr(os, "open", refuse(errno.EACCES))
+    right = realtime.request(50, None).cpu_idle
+    assert right.state == "refused"
+    assert "udev" in right.remedy
+    assert "--device=/dev/cpu_dma_latency" in right.remedy
+
+
+def test_deep_idle_is_left_alone_without_a_priority(system):
+    assert realtime.request(0, None).cpu_idle.state == "not asked for"
+    assert system["dma_latency"].read_bytes() == b""
+
+
+@pytest.mark.parametrize(("capabilities", "word"), [(0, "limits.d"), (1 << realtime.CAP_SYS_NICE, "cgroup")])
+def test_refused_scheduling_of_a_process_with_the_capability_is_its_cgroups(
+    system, monkeypatch, capabilities, word
+):
+    monkeypatch.setattr(os, "sched_setscheduler", refuse(errno.EPERM))
+    monkeypatch.setattr(realtime, "_status_field", lambda name, base: capabilities)
+    assert word in realtime.request(50, None).sched_fifo.remedy
+
+
+@pytest.mark.parametrize(("share", "words"), [(0.95, "after 95 % of a CPU"), (1.0, "priority 50")])
+def test_real_time_throttle_is_told_with_the_priority(system, monkeypatch, share, words):
+    monkeypatch.setattr(realtime, "real_time_share", lambda: share)
+    detail = realtime.request(50, None).sched_fifo.detail
+    assert detail.startswith("priority 50")
+    assert words in detail
+    assert ("stops" in detail) == (share < 1.0)

@@ -17,7 +17,7 @@ PROBES = (Probe("speed", "m/s"), Probe("disturbance", "m/s^2"))
 
 
 def record(k):
-    return (k, k * 10, k * 10 + 1, k * 10 + 2, k * 10 + 3, k * 10 + 4, k % 3, k / 2, -float(k))
+    return (k, k * 10, k * 10 + 1, k * 10 + 2, k * 10 + 3, k * 10 + 4, k * 10 + 5, k % 3, k / 2, -float(k))
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_reader_works_after_the_writer_was_killed(tmp_path):
         from hil.node import TimingRing
         ring = TimingRing({str(path)!r}, name="victim", period_ns=1, probes=(("value", "1"),), capacity=64)
         for k in range(50):
-            ring.append(k, 0, 0, 0, 0, 0, 0, k * 0.5)
+            ring.append(k, 0, 0, 0, 0, 0, 0, 0, k * 0.5)
         print("written", flush=True)
         time.sleep(60)
         """
@@ -125,7 +125,7 @@ def test_concurrent_reader_never_sees_a_torn_record(tmp_path):
         print("ready", flush=True)
         sys.stdin.readline()
         for k in range({count}):
-            ring.append(k, k, k, k, k, k, k, float(k))
+            ring.append(k, k, k, k, k, k, k, k, float(k))
         """
     )
     with subprocess.Popen(

@@ -198,7 +198,8 @@ def _synthesise(contract: Contract, duration_s: float, clock: str, seed: int) ->
             woke = START_NS + start_ns - offset_ns
             scheduled = tick_ns if lockstep else START_NS + tick_ns + phase_ns - offset_ns
             busy = work[unit, k]
-            stamps = (k, scheduled, woke, woke + int(busy * 0.2), woke + int(busy * 0.8), woke + int(busy), 0)
+            read, stepped, encoded, sent = (woke + int(busy * share) for share in (0.2, 0.8, 0.85, 1.0))
+            stamps = (k, scheduled, woke, read, stepped, encoded, sent, 0)
             inner = (v_ref, a_ref, v_ref - v, integral) if unit == 0 else (
                 v, x, a, effort, 2_000 + 60 * v + 6 * v * v, float(motion["energy"][k]))  # fmt: skip
             rows[process].append((*stamps, *inner))
@@ -270,3 +271,38 @@ def hub(channel):
     yield process
     process.terminate()
     process.communicate(timeout=30)
+
+
+@pytest.fixture(scope="session")
+def line() -> dict[str, Any]:
+    """A line as a recording's property `track`."""
+    return {
+        "start_m": -110.0, "end_m": 400.0, "train_length_m": 80.0,
+        "stops": [["A", 0.0], ["B", 350.0]],
+        "limits_mps": [[-110.0, 200.0, 22.0], [200.0, 400.0, 18.0]],
+        "gradients_permille": [[50.0, 150.0, 20.0], [150.0, 250.0, -10.0]],
+        "curves_m": [[80.0, 180.0, 300.0]], "tunnels": [[100.0, 200.0]], "balises_m": [50.0, 300.0],
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def law() -> dict[str, Any]:
+    """A law as a recording's property `law_picture`: two inputs of three terms each."""
+    terms = ["N", "Z", "P"]
+    corners = [[-1.0, -1.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 1.0, 1.0]]
+    axis = {"unit": "m/s", "terms": terms, "corners": corners, "low": -1.0, "high": 1.0}
+    steps = np.linspace(-1.0, 1.0, 21)
+    return {
+        "process": "controller", "title": "a law",
+        "charts": [
+            {"title": "Speed error", "unit": "m/s", "lines": [["speed_error_mps", "speed error"]],
+             "levels": [["layer", 0.3, True]]},
+        ],
+        "surfaces": [
+            {"name": "Demand", "unit": "1", "product": False,
+             "error": {**axis, "name": "error", "probe": "speed_error_mps"},
+             "rate": {**axis, "name": "rate", "probe": "reference_acceleration_mps2"},
+             "rules": [["N", "N", "Z"], ["N", "Z", "P"], ["Z", "P", "P"]],
+             "values": (0.5 * (steps[None, :] + steps[:, None])).tolist()},
+        ],
+    }  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 from hil.record.blueprint import Layout, build_blueprint
 from hil.record.charts import Charts, Source, conversion
 from hil.record.dashboard import CHARTS, LANES, POSITION, Chart, Series, state_color
-from hil.record.distance import DistanceChart, _ticks
+from hil.record.distance import WIDTH, DistanceChart, _ticks
 from hil.record.events import is_state
 from hil.record.timelines import Instants
 
@@ -101,7 +101,7 @@ def test_the_chart_over_distance_spans_what_was_driven():
     chart.draw(paper)
     curve = paper.drawn["/over_distance/speed/true"][0]
     assert curve[0, 0] == pytest.approx(0.0)
-    assert curve[-1, 0] == pytest.approx(1000.0)
+    assert curve[-1, 0] == pytest.approx(WIDTH)
     assert curve[:, 1].min() < curve[0, 1] < 0  # upwards is negative in the plane
     labels = paper.drawn["/over_distance/speed/axes/labels"]
     assert {"600 m", "1000 m", "0", "80"} <= set(labels)
@@ -115,7 +115,7 @@ def test_a_chart_over_distance_keeps_a_bounded_number_of_points():
     chart.draw(paper)
     curve = paper.drawn["/over_distance/speed/true"][0]
     assert 500 <= len(curve) <= 1500
-    assert curve[-1, 0] > 0.98 * 1000
+    assert curve[-1, 0] > 0.98 * WIDTH
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (0, 83.5), (-3, 931.2), (12_000, 12_050)])

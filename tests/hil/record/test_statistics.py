@@ -81,6 +81,6 @@ def test_a_row_comes_once_a_second_with_rates_and_longest_interval(contract):
     assert statistics.row(999 * MS) is None
     row = statistics.row(1000 * MS)
     assert row["frames_per_second"] == {"ODO_Motion": pytest.approx(100.0)}
-    assert row["interval_excess_ms"] == {"ODO_Motion": pytest.approx(25.0)}  # 490 -> 525 ms, cycle 10 ms
+    assert row["longest_interval"] == {"ODO_Motion": pytest.approx(350.0)}  # 490 -> 525 ms, cycle 10 ms
     assert set(row["counter_errors"]) == {"ODO_Motion"}
     assert statistics.row(1500 * MS) is None

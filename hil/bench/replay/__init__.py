@@ -1,0 +1,21 @@
+"""Replay: a recorded log put to one node as restbus, and its answers compared with the recorded ones."""
+
+from __future__ import annotations
+
+from hil.bench.replay.comparison import Comparison, FirstDeviation, MessageResult, SignalResult
+from hil.bench.replay.job import Replayed, ReplayRequest, replay
+from hil.bench.replay.recorded import ReplayError
+from hil.bench.replay.rules import Rules, load_rules
+
+__all__ = [
+    "Comparison",
+    "FirstDeviation",
+    "MessageResult",
+    "ReplayError",
+    "ReplayRequest",
+    "Replayed",
+    "Rules",
+    "SignalResult",
+    "load_rules",
+    "replay",
+]
