@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from math import ceil, floor, sqrt
+from math import ceil, floor, inf, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -128,6 +128,8 @@ class ReferenceTable:
         self._acceleration = columns.acceleration_mps2
         self._preview = columns.preview_mps2
         self._last = len(columns.position_m) - 1
+        self._asked = (inf, inf)
+        self._answer_s = 0.0
         self.duration_s = self._last * self._step_s
         self.stop_m = float(columns.position_m[self._last])
 
@@ -138,6 +140,13 @@ class ReferenceTable:
 
     def plan_time_s(self, position_m: float, since_departure_s: float) -> float:
         """Where on the plan's clock the train is [s]; before departure, how long until then (negative)."""
+        asked = (position_m, since_departure_s)
+        if asked != self._asked:  # mode, lateness and reference ask the same within a cycle
+            self._answer_s = self._plan_time_s(position_m, since_departure_s)
+            self._asked = asked
+        return self._answer_s
+
+    def _plan_time_s(self, position_m: float, since_departure_s: float) -> float:
         position = self._position
         k = bisect_right(position, position_m) - 1
         if since_departure_s < 0.0:

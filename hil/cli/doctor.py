@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli.doctor_vcan import Repair, ThisMachine, repair
+from hil.node.realtime import DMA_LATENCY, IDLE_REMEDY
 from hil.record.viewer import display_missing
 
 
@@ -137,6 +138,17 @@ def memory_lock() -> Finding:
     return Finding("memory lock", "partly", f"{soft >> 20} MiB", "memlock unlimited in limits.conf")
 
 
+def idle_states() -> Finding:
+    """Whether a process may keep the CPUs out of deep idle states while it runs."""
+    if not DMA_LATENCY.exists():
+        return Finding(
+            "idle states", "no", f"no {DMA_LATENCY}", "Linux; a container: --device=/dev/cpu_dma_latency"
+        )
+    if os.access(DMA_LATENCY, os.W_OK):
+        return Finding("idle states", "yes", "may be kept shallow")
+    return Finding("idle states", "no", f"{DMA_LATENCY} is not writable", IDLE_REMEDY)
+
+
 def kernel() -> Finding:
     """Kernel, preemption model and processors."""
     version = platform.release()
@@ -191,6 +203,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     socketcan,
     scheduling,
     memory_lock,
+    idle_states,
     kernel,
     viewer,
     vulkan,

@@ -61,6 +61,7 @@ def report(
         if FULL in parts:
             console.print()
             console.print(loop_table(parts[FULL]))
+            console.print(waiting_line(parts[FULL]), style="dim", highlight=False, soft_wrap=True)
             for line in miss_lines(parts[FULL], campaign.request.period_s):
                 console.print(line, highlight=False, soft_wrap=True)
     console.print()
@@ -152,6 +153,18 @@ def loop_table(known: Measured) -> Table:
         if whole is not None:
             table.add_row(name, *_figures(whole))
     return table
+
+
+def waiting_line(known: Measured) -> str:
+    """How the controller waited for its deadlines: the poll before each, and the rehearsal before that."""
+    said = known.slices[-1].rights
+    spin, rehearsal = said.get("spin", {}), said.get("rehearsal", {})
+    if spin.get("mode", "off") == "off":
+        return f"the controller only sleeps: {spin.get('why', 'it said nothing else')}"
+    text = f"the controller polls for the last {spin['margin_ns'] / 1e3:.0f} us before a deadline"
+    if not rehearsal.get("runs"):
+        return f"{text}, without rehearsal"
+    return f"{text}; its code is rehearsed {rehearsal['lead_ns'] / 1e3:.0f} us before that"
 
 
 def miss_lines(known: Measured, period_s: float) -> list[str]:

@@ -19,7 +19,7 @@ from typing import Any
 
 from hil.node.spin import real_time_share
 
-__all__ = ["RealTimeRights", "Right", "request"]
+__all__ = ["DMA_LATENCY", "IDLE_REMEDY", "RealTimeRights", "Right", "request"]
 
 PR_SET_PDEATHSIG = 1
 PR_SET_TIMERSLACK = 29

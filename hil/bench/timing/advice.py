@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from hil.bench.timing.host import Host
 from hil.bench.timing.request import FULL, LOOP_SPIN, PEER
 from hil.bench.timing.samples import Measured, spread
-from hil.node.realtime import FIFO_REMEDY, MEMORY_REMEDY
+from hil.node.realtime import FIFO_REMEDY, IDLE_REMEDY, MEMORY_REMEDY
 
 __all__ = ["Advice", "advice"]
 
@@ -89,14 +89,12 @@ def advice(
                 "cpupower frequency-set -g performance",
             )
         )
-    if host.deepest_idle_us is not None and host.deepest_idle_us > DEEP_IDLE_US:
+    if host.deepest_idle_us is not None and host.deepest_idle_us > DEEP_IDLE_US and not _awake(measured):
         found.append(
             Advice(
                 f"deep idle states (exit latency up to {host.deepest_idle_us} us)",
-                f"up to {host.deepest_idle_us} us a wake-up; cyclictest forbids them while it runs, the bench"
-                " does not",
-                "keep /dev/cpu_dma_latency open with 0 written to it, or boot with"
-                " processor.max_cstate=1 intel_idle.max_cstate=1",
+                f"up to {host.deepest_idle_us} us a wake-up; the bench was not allowed to forbid them",
+                f"{IDLE_REMEDY}; or boot with processor.max_cstate=1 intel_idle.max_cstate=1",
             )
         )
     if not host.preempt_rt and host.kernel.startswith("Linux"):
@@ -134,6 +132,12 @@ def _no_fifo(host: Host, priority: int) -> Advice:
     if priority == 0 and host.sched_fifo:
         return Advice("SCHED_OTHER, as asked for with --priority 0", cost, "leave out --priority 0")
     return Advice("no real-time rights: SCHED_FIFO was refused, all ran under SCHED_OTHER", cost, FIFO_REMEDY)
+
+
+def _awake(measured: Mapping[tuple[str, str], Measured]) -> bool:
+    """Whether the bench kept the CPUs out of deep idle states (/dev/cpu_dma_latency) in all its slices."""
+    pieces = [piece for (_, part), known in measured.items() if part == FULL for piece in known.slices]
+    return bool(pieces) and all(piece.rights.get("cpu_idle") for piece in pieces)
 
 
 def _throttling(host: Host, measured: Mapping[tuple[str, str], Measured]) -> list[Advice]:

@@ -105,6 +105,7 @@ def figures(known: Measured, peer: Measured | None) -> dict[str, Any]:
     document["cpu_share"] = {name: round(share, 4) for name, share in known.cpu_share().items()}
     document["sched_fifo"] = known.sched_fifo
     document["spin"] = known.slices[-1].rights.get("spin", {})
+    document["rehearsal"] = known.slices[-1].rights.get("rehearsal", {})
     document["deadlines"] = {
         "missed": known.missed(),
         "witnessed": known.witnessed,

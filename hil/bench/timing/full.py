@@ -284,9 +284,13 @@ def frames_lost(status: dict[str, Any]) -> int:
 
 
 def rights(status: dict[str, Any]) -> dict[str, Any]:
-    """The rights that all nodes have."""
+    """The rights that all nodes have, and how the controller waits for its deadlines."""
     return {
         "sched_fifo": all(bool(node.get("sched_fifo")) for node in status.values()),
         "mlock": all(bool(node.get("mlock")) for node in status.values()),
-        "spin": dict(status.get("controller", {}).get("spin", {})),
+        "cpu_idle": all(
+            node.get("rights", {}).get("cpu_idle", {}).get("state") == "granted" for node in status.values()
+        ),
+        "spin": dict(status.get("controller", {}).get("spin") or {}),
+        "rehearsal": dict(status.get("controller", {}).get("rehearsal") or {}),
     }

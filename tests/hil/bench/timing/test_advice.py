@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from hil.bench.timing.advice import advice
 from hil.bench.timing.host import CpuTimes, cpu_times
@@ -52,6 +53,14 @@ def test_each_fact_has_its_own_remedy(good_host):
     ):
         (item,) = told(replace(good_host, **change))
         assert remedy in item.remedy
+
+
+@pytest.mark.parametrize(("granted", "expected"), [(True, 0), (False, 1)])
+def test_deep_idle_states_cost_nothing_where_the_bench_forbids_them(
+    good_host, make_measured, granted, expected
+):
+    parts = make_measured(full=Slice(np.ones(9), rights={"cpu_idle": granted}))
+    assert len(told(replace(good_host, deepest_idle_us=200), parts)) == expected
 
 
 def test_the_throttle_is_told_only_to_who_comes_near_it(good_host, make_measured):
