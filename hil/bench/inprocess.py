@@ -66,7 +66,7 @@ def run_in_one_process(
                     rings={name: shared / f"{name}.ring" for name in NODES},
                     properties=recording_properties(options),
                     logs=options.logs,
-                    viewer_url=start_viewer() if options.view else None,
+                    viewer_url=start_viewer() if options.view else options.viewer_url,
                 ),
             )
         )

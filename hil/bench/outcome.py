@@ -27,7 +27,8 @@ class RunOptions:
     bus: BusOptions
     channel_is_given: bool = False  # False: a free local channel may be chosen
     lockstep: bool = False
-    view: bool = False
+    view: bool = False  # open the viewer's window
+    viewer_url: str | None = None  # a Rerun server that listens already, to send to live
     priority: int | None = 50  # SCHED_FIFO priority of the controller; None: do not ask
     dbc: Path | None = None
     logs: tuple[str, ...] = ()  # formats of the frame log beside BLF

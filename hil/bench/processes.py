@@ -20,6 +20,7 @@ from hil.bench.braking import BY_THE_USER, Cut
 from hil.bench.children import Child, read_json
 from hil.bench.errors import Aborted, BenchError
 from hil.bench.outcome import Interrupted, Outcome, RunOptions, Show
+from hil.bench.placement import Placement, place
 from hil.bench.recording_properties import recording_properties
 from hil.bench.shared import BusClaim, shared_folder
 from hil.bench.sync import BenchNode
@@ -65,6 +66,9 @@ class _ProcessRun:
         self._claim = BusClaim()
         self._bus = timed_bus(options)
         self._watch = Watch(contract, time_limit_s=options.time_limit_s)
+        self._placement = Placement()
+        if not options.lockstep:
+            self._placement = place(options.scenario.timing.controller_cpu, options.priority)
 
     def run(self) -> Outcome:
         with ExitStack() as stack:
@@ -78,6 +82,7 @@ class _ProcessRun:
             )
             bench = BenchNode(transport, self._contract, self._watch, tick_s=self._options.tick_s)
             self._start(shared)
+            stack.enter_context(self._placement.launcher_kept_off())
             started = datetime.now(UTC)
             wire = wire_counters(self._bus)
             clock = time.monotonic()
@@ -175,6 +180,8 @@ class _ProcessRun:
             recorder += ["--log", kind]
         if options.view:
             recorder.append("--view")
+        if options.viewer_url is not None:
+            recorder += ["--viewer-url", options.viewer_url]
         self._spawn("recorder", "hil.record", recorder).wait_for_line(
             "ready", START_TIMEOUT_S, self._cancelled
         )
@@ -182,10 +189,12 @@ class _ProcessRun:
             arguments = ["--scenario", str(scenario), *common]
             arguments += ["--ring", f"{shared / name}.ring", "--status", str(shared / f"{name}.json")]
             arguments += ["--tick-ns", str(options.tick_ns), "--priority", str(self._priority(name))]
-            self._spawn(name, name, [*arguments, *options.scenario.timing.arguments()])
+            arguments += [*options.scenario.timing.arguments(), *self._placement.arguments(name)]
+            self._spawn(name, name, arguments)
         for name in NODES:
             status = shared / f"{name}.json"
             self._children[name].wait_for_file(status, "state", "ready", START_TIMEOUT_S, self._cancelled)
+        self._placement.keep_off(child.pid for name, child in self._children.items() if name != "controller")
 
     def _spawn(self, name: str, module: str, arguments: list[str]) -> Child:
         child = Child(name, module, arguments, logs=self._options.out / "logs")

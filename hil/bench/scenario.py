@@ -80,6 +80,9 @@ class TimingTable(BaseModel):
     """For how long before a deadline a node polls the clock; 0: it only sleeps."""
     rehearsal: bool = True
     """Whether a twin of each unit runs before each deadline, so that the caches are warm."""
+    controller_cpu: Annotated[int, Field(ge=0)] | Literal["auto", "any"] = "auto"
+    """The CPU that the controller has for itself, the bench's other processes keep off it; `auto`: the last
+    one, if there are two or more and SCHED_FIFO is granted; `any`: as the kernel likes."""
 
     def arguments(self) -> list[str]:
         """The command line of a node that keeps time like this."""

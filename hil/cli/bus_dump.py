@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import sys
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, TextIO
+from typing import Annotated, Any, TextIO
 
 import can
 import typer
@@ -38,6 +39,9 @@ def dump(
     raw: Annotated[
         bool, typer.Option("--raw", help="As candump -L writes it: canplayer reads that.")
     ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="A JSON document per frame and line, signals in the DBC's units.")
+    ] = False,
     count: Annotated[int | None, typer.Option("-n", "--count", help="End after so many frames.")] = None,
     seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds.")] = None,
 ) -> int:
@@ -46,7 +50,11 @@ def dump(
     [bold]hil bus dump -c ato ODO_Motion ATO_Command[/bold]
 
     [bold]hil bus dump -c ato --raw | cantools decode my.dbc[/bold]
+
+    [bold]hil bus dump --log runs/… ODO_Motion --json | jq .signals.Speed[/bold]
     """
+    if raw and as_json:
+        raise MessageSetError("--raw --json: one or the other")
     if count is not None and count < 1:
         raise MessageSetError(f"--count {count}: at least 1")
     if seconds is not None and not (math.isfinite(seconds) and seconds > 0.0):
@@ -65,7 +73,10 @@ def dump(
             key = (message.arbitration_id, message.is_extended_id)
             if wanted is not None and (message.is_error_frame or key not in wanted):
                 continue
-            line = candump_line(message, place) if raw else decoded_line(message, database)
+            if raw:
+                line = candump_line(message, place)
+            else:
+                line = (json_line if as_json else decoded_line)(message, database)
             _print(line, sys.stdout)
             if left is not None:
                 left -= 1
@@ -103,6 +114,43 @@ def decoded_line(message: can.Message, database: Database) -> str:
     else:
         text = _signals(known, bytes(message.data))
     return f"{time}  {number}  {name:<16}  {text}".rstrip()
+
+
+def json_line(message: can.Message, database: Database) -> str:
+    """A frame as one JSON document: `time` [s since 1970], `id`, `name`, `data` in hex, `signals`.
+
+    Signals are in the DBC's units, named values as their names; None where the DBC does not know the message
+    or its data do not fit.
+    """
+    known = None if message.is_error_frame else _known(database, message)
+    signals: dict[str, Any] | None = None
+    if known is not None and not message.is_remote_frame:
+        with contextlib.suppress(DecodeError, ValueError):
+            values = known.decode(bytes(message.data), allow_truncated=True)
+            if isinstance(values, dict):
+                signals = {
+                    name: value if isinstance(value, int | float) else str(value)
+                    for name, value in values.items()
+                }
+    return json.dumps(
+        {
+            "time": round(message.timestamp, 9),
+            "id": message.arbitration_id,
+            "extended": message.is_extended_id,
+            "kind": _kind(message),
+            "name": None if known is None else known.name,
+            "data": bytes(message.data).hex().upper(),
+            "signals": signals,
+        }
+    )
+
+
+def _kind(message: can.Message) -> str:
+    if message.is_error_frame:
+        return "error"
+    if message.is_remote_frame:
+        return "remote"
+    return "fd" if message.is_fd else "data"
 
 
 def _signals(known: DbcMessage, data: bytes) -> str:

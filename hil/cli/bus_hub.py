@@ -62,6 +62,10 @@ def up(
     """Start the hub of a local bus; it stays until [bold]hil bus down[/bold].
 
     Not needed for a run: who joins a channel without a hub starts one, which ends after the last one left.
+
+    [bold]hil bus up -c ato[/bold]                   frames as fast as the machine
+
+    [bold]hil bus up -c ato --bitrate 500000[/bold]  with the wire time of a real bus
     """
     for option, rate in (("--bitrate", bitrate), ("--data-bitrate", data_bitrate)):
         if rate is not None and rate <= 0:
@@ -105,7 +109,10 @@ def up(
 
 
 def down(channel: Channel = DEFAULT_CHANNEL, as_json: AsJson = False) -> int:
-    """Stop the hub of a local bus; whoever is on it is told so."""
+    """Stop the hub of a local bus; whoever is on it is told so.
+
+    [bold]hil bus down -c ato[/bold]
+    """
     found = _query(channel)
     if found is not None:
         os.kill(int(found["pid"]), signal.SIGTERM)
@@ -132,7 +139,12 @@ def statistics(
     ] = None,
     as_json: AsJson = False,
 ) -> int:
-    """Say what the hubs of local buses know: clients, frames, backlogs, who was removed and why."""
+    """Say what the hubs of local buses know: clients, frames, backlogs, who was removed and why.
+
+    [bold]hil bus statistics[/bold]         every hub of this user
+
+    [bold]hil bus statistics -c ato[/bold]  one of them
+    """
     names = address.channels() if channel is None else [channel]
     found = [hub for hub in map(_query, names) if hub is not None]
     if channel is not None and not found:

@@ -40,7 +40,12 @@ def doctor(
     channel: Annotated[str, typer.Option(help="The interface that --fix-vcan brings up.")] = "vcan0",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")] = False,
 ) -> int:
-    """Say what this machine can do for the bench, and how to get the rest."""
+    """Say what this machine can do for the bench, and how to get the rest.
+
+    [bold]hil doctor[/bold]             what is there, what is missing, what to do
+
+    [bold]hil doctor --fix-vcan[/bold]  as root brings vcan0 up, else says how
+    """
     if fix_vcan:
         return _fix_vcan(channel, as_json=as_json)
     findings = [check() for check in CHECKS]

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -20,6 +23,7 @@ from hil.canbus.transport import BusOptions, add_bus_arguments, default_options,
 from hil.cli.progress import Progress
 from hil.record.log_formats import check_formats
 from hil.record.viewer import display_missing
+from hil.record.web_viewer import WebViewer
 
 DEFAULT_SCENARIO = "cat_linh_la_thanh"
 MAX_PRIORITY = 88  # the hub runs ten above, and 99 belongs to the kernel
@@ -43,6 +47,7 @@ def run(
         Path | None, typer.Option(help="Directory of the results [runs/<time>-<scenario>].")
     ] = None,
     show_live: Annotated[bool, typer.Option("--view", help="Watch it live in the Rerun viewer.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="Watch it live in a browser.")] = False,
     interface: Annotated[str | None, typer.Option("-i", "--interface", help="python-can interface.")] = None,
     channel: Annotated[str | None, typer.Option("-c", "--channel", help="Channel of the bus.")] = None,
     bitrate: Annotated[int | None, typer.Option("-b", "--bitrate", help="Bit rate [bit/s].")] = None,
@@ -70,13 +75,16 @@ def run(
     [bold]hil run fuzzy_d_2km --law pid --lockstep[/bold]  another line and law, as fast as it goes
 
     [bold]hil run my.toml -i socketcan -c vcan0[/bold]     your scenario on a real bus
+
+    [bold]hil run --web[/bold]                             watch it in a browser while it drives
     """
     if not 0 <= priority <= MAX_PRIORITY:
         raise ScenarioError(f"--priority {priority}: must be 0 to {MAX_PRIORITY}")
     console = Console(stderr=as_json)
-    if show_live and display_missing():
+    if show_live and not web and display_missing():
         console.print(
-            "no live view: there is no display here; afterwards: hil view --web RUN", style="yellow"
+            "no live view: there is no display here; use --web, or afterwards hil view --web RUN",
+            style="yellow",
         )
         show_live = False
     chosen = list(overrides or [])
@@ -95,7 +103,7 @@ def run(
         bus=bus,
         channel_is_given=channel is not None or loaded.bus.channel is not None,
         lockstep=lockstep,
-        view=show_live,
+        view=show_live and not web,
         priority=priority or None,
         dbc=dbc,
         logs=check_formats(log or ()),
@@ -104,8 +112,25 @@ def run(
     # Only now: bad input is told before the recording library has been loaded.
     from hil.bench.run import exit_code, run_scenario
 
-    with Progress(loaded, console=console) as progress:
-        summary = run_scenario(options, show=lambda view, speedup: progress.show(view, speedup=speedup))
+    with _web_viewer(console) if web else nullcontext() as viewer:
+        if viewer is not None:
+            options = replace(options, viewer_url=viewer.url)
+        with Progress(loaded, console=console) as progress:
+            summary = run_scenario(options, show=lambda view, speedup: progress.show(view, speedup=speedup))
+        _tell(console, summary, directory, as_json=as_json)
+        if viewer is not None and sys.stdin.isatty():
+            console.print(f"still to be seen at {viewer.address}   (Ctrl-C ends it)", soft_wrap=True)
+            viewer.wait()
+    return exit_code(summary)
+
+
+def _web_viewer(console: Console) -> WebViewer:
+    viewer = WebViewer()
+    console.print(f"live: {viewer.address}", highlight=False, soft_wrap=True, markup=False)
+    return viewer
+
+
+def _tell(console: Console, summary: dict[str, Any], directory: Path, *, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(summary, indent=2))
     else:
@@ -113,7 +138,6 @@ def run(
     if summary["ended"] == "died":
         typer.echo(f"hil run: {summary['ended_because']}", err=True)
     _write_html(console, directory)
-    return exit_code(summary)
 
 
 def bus_options(

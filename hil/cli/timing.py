@@ -42,7 +42,10 @@ def timing(
     period: Annotated[float, typer.Option(help="Period of loop, nodes and cyclictest [s].")] = 0.01,
     duration: Annotated[float, typer.Option(help="Measured time of each part [s].")] = 60.0,
     load: Annotated[bool, typer.Option("--load", help="Repeat everything with every core busy.")] = False,
-    cpu: Annotated[int | None, typer.Option(help="CPU for loop, controller and cyclictest.")] = None,
+    cpu: Annotated[
+        int | None,
+        typer.Option(help="CPU for loop, controller and cyclictest [controller's own]."),
+    ] = None,
     priority: Annotated[int, typer.Option(help="SCHED_FIFO priority, 1 to 88; 0: SCHED_OTHER for all.")] = 50,
     spin: Annotated[
         str, typer.Option(help="How long to poll the clock before a deadline: auto, 0, or us.")
@@ -88,6 +91,10 @@ def timing(
     overrides = [f"controller.period_s={period!r}", f"plant.period_s={period!r}"]
     with tempfile.TemporaryDirectory(prefix="hil-") as scratch:
         loaded = load_scenario(name, overrides, scratch=Path(scratch))
+    if cpu is None:
+        from hil.bench.placement import place
+
+        cpu = place("auto", priority).controller
     bus = bus_options(loaded, interface, channel, bitrate, fd, [])
     if bus.interface == "virtual":
         raise ScenarioError(
@@ -161,7 +168,7 @@ def _parts(spin: str, compare_recorder: bool) -> tuple[str, ...]:
 def _check_cpu(cpu: int | None) -> None:
     if cpu is None:
         return
-    from hil.bench.timing.host import usable_cpus
+    from hil.bench.placement import usable_cpus
 
     allowed = usable_cpus()
     if cpu not in allowed:

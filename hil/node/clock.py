@@ -169,17 +169,18 @@ class RealTimeClock:
         sleep_until = deadline - margin.now_ns
         if rehearsal is not None:
             sleep_until -= rehearsal.lead.now_ns
-        if now < sleep_until:
-            while now < sleep_until:
-                self._sleep((sleep_until - now) * 1e-9)
-                now = monotonic()
-            margin.observe(now - sleep_until)
+        slept = now < sleep_until
+        while now < sleep_until:
+            self._sleep((sleep_until - now) * 1e-9)
+            now = monotonic()
         if rehearsal is not None:
             if deadline - now >= rehearsal.lead.now_ns:
                 self._rehearse(rehearsal)
                 now = monotonic()
             else:
                 rehearsal.skipped += 1
+        if slept:  # late sleep and long rehearsal together: the poll has to make up for both
+            margin.observe(now - (deadline - margin.now_ns))
         while now < deadline:
             now = monotonic()
         if should_stop():

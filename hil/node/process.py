@@ -144,7 +144,8 @@ class NodeProcess:
         start: Callable[[], None] | None = getattr(unit, "start_helper", None)
         close: Callable[[], None] | None = getattr(unit, "close", None)
         if start is not None and close is not None:
-            start()
+            with realtime.kept_off(self.options.cpu):
+                start()
             self._resources.callback(close)
 
     def ready(self) -> None:

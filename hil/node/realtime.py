@@ -7,12 +7,13 @@ the wake-up latency by an order of magnitude, the others remove rare pauses.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -119,6 +120,20 @@ def none_requested() -> RealTimeRights:
     """The rights of a process that asked for none (lockstep)."""
     names = ("sched_fifo", "memory_lock", "timer_slack", "garbage_collector", "cpu_affinity", "cpu_idle")
     return RealTimeRights(*(Right(name, "not asked for") for name in names))
+
+
+@contextlib.contextmanager
+def kept_off(cpu: int | None) -> Iterator[None]:
+    """Keep this process off a CPU meanwhile; a child that is started in there stays off it. Never raises."""
+    before = os.sched_getaffinity(0) if cpu is not None and hasattr(os, "sched_getaffinity") else set()
+    others = before - {cpu}
+    if others and others != before:
+        os.sched_setaffinity(0, others)
+    try:
+        yield
+    finally:
+        if others and others != before:
+            os.sched_setaffinity(0, before)
 
 
 def die_with_parent(signal_number: int) -> bool:

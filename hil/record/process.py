@@ -101,7 +101,7 @@ def _options(arguments: argparse.Namespace) -> RecorderOptions:
                 f"--ring {text}: expected NAME=FILE, for example controller=/dev/shm/controller.ring"
             )
         rings[name] = Path(path)
-    viewer_url = None
+    viewer_url = arguments.viewer_url
     if arguments.view:
         try:
             viewer_url = start_viewer()
@@ -157,6 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--status", type=Path, metavar="FILE", help="JSON written when ready and when ended")
     add("--view", action="store_true", help="show the run live in the Rerun viewer")
+    add("--viewer-url", metavar="URL", help="send live to this Rerun server, too")
     add("--die-with-parent", action="store_true", help="end when the process that started this one ends")
     add_bus_arguments(parser)
     return parser

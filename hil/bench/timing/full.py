@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hil.bench.children import Child, read_json
 from hil.bench.errors import BenchError
 from hil.bench.outcome import RunOptions
+from hil.bench.placement import Placement, place
 from hil.bench.processes import NODE_PRIORITY_OFFSET, NODES, START_TIMEOUT_S
 from hil.bench.recording_properties import recording_properties
 from hil.bench.shared import BusClaim, shared_folder
@@ -74,14 +75,15 @@ def measure_full(
                 offset_ns=bench.quiet_offset_ns(waiting),
             )
             stack.callback(witness.abandon)
+        bench.keep_off()
         bench.run(waiting, settle_s=SETTLE_S if witness is None else ALIGN_S + SETTLE_S)
         stalls = None if witness is None else witness.stop()
         return bench.slice(stalls)
 
 
 def witness_threshold_us(period_ns: int) -> int:
-    """Stalls of less than a tenth of the period explain no missed deadline and are not kept."""
-    return max(50, period_ns // 10_000)
+    """Stalls of less than a twentieth of the period explain no missed deadline and are not kept."""
+    return max(50, period_ns // 20_000)
 
 
 class _Bench:
@@ -157,6 +159,13 @@ class _Bench:
                 shared / f"{name}.json", "state", "ready", START_TIMEOUT_S, waiting
             )
             self._readers[name] = TimingReader.open(shared / f"{name}.ring")
+
+    def keep_off(self) -> None:
+        """Everybody but the controller, this process too, goes off the controller's CPU."""
+        cpu = self._request.cpu
+        placement = Placement() if cpu is None else place(cpu, None)
+        placement.keep_off(child.pid for name, child in self._children.items() if name != "controller")
+        self._stack.enter_context(placement.launcher_kept_off())
 
     def quiet_offset_ns(self, waiting: Callable[[], None]) -> int:
         """Where the witness's wake-ups are farthest from the deadlines of both nodes."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import platform
 from collections.abc import Callable
@@ -10,10 +9,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.bench.rights import processor_rights
 from hil.bench.timing.request import TimingRequest
-from hil.node import realtime
 
-__all__ = ["CpuTimes", "Host", "cpu_times", "processor_rights", "read_host"]
+__all__ = ["CpuTimes", "Host", "cpu_times", "read_host"]
 
 SYSTEM = Path("/sys/devices/system")
 HYPERVISOR_FLAG = "hypervisor"
@@ -90,25 +89,6 @@ def read_host() -> Host:
     )
 
 
-def processor_rights(priority: int = 50) -> tuple[bool, bool, str]:
-    """Whether a process here gets SCHED_FIFO and may lock its memory, and why not; a child tries."""
-    if not hasattr(os, "fork"):
-        return False, False, "not on this system"
-    read, write = os.pipe()
-    pid = os.fork()
-    if pid == 0:  # so that this process keeps its policy
-        with contextlib.suppress(BaseException):
-            got = realtime.request(priority, None)
-            reply = f"{int(got.sched_fifo.granted)}{int(got.memory_lock.granted)}{got.memory_lock.detail}"
-            os.write(write, reply.encode())
-        os._exit(0)
-    os.close(write)
-    with os.fdopen(read, encoding="utf-8", errors="replace") as pipe:
-        reply = pipe.read()
-    os.waitpid(pid, 0)
-    return reply[:1] == "1", reply[1:2] == "1", reply[2:]
-
-
 def cpu_times(read: Callable[[], str] = lambda: _text("/proc/stat")) -> CpuTimes:
     """The first line of /proc/stat: user, nice, system, idle, iowait, irq, softirq, steal (proc(5))."""
     for line in read().splitlines():
@@ -140,13 +120,6 @@ def realtime_share() -> float:
     from hil.node.spin import real_time_share
 
     return real_time_share()
-
-
-def usable_cpus() -> list[int]:
-    """The CPUs that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
 
 
 def rights_of(request: TimingRequest, host: Host) -> tuple[bool, bool]:

@@ -34,8 +34,8 @@ class Miss:
     """Deadlines missed between two cycles of a node; times monotonic ns.
 
     `lost_ns`: how much longer than usual the work of cycle `cycle` took to end, counted from its deadline.
-    `stall_ns`: the longest stall of the witness meanwhile; None: there was no witness. `blind_ns`: the
-    period of the witness, which sees of a stall only what comes after it should have woken up.
+    `stall_ns`: for how long the witness was kept from one CPU meanwhile; None: there was no witness.
+    `blind_ns`: the period of the witness, which sees of a stall only what comes after its next wake-up.
     """
 
     node: str
@@ -82,9 +82,10 @@ def missed_deadlines(node: str, cycles: NDArray[np.void], period_ns: int) -> lis
 
 
 def attributed(misses: Sequence[Miss], stalls: Sequence[Stall], blind_ns: int = 0) -> list[Miss]:
-    """The misses with the longest stall, on any CPU, that overlaps each of them (0: none did).
+    """The misses, each with the stalls of one CPU that overlap it (0: none did): the longest, or all that was
+    lost in several.
 
-    The nodes may move between CPUs, so the CPU of a stall does not matter.
+    The nodes may move between CPUs, so which CPU it was does not matter.
     """
     ordered = sorted(stalls, key=lambda stall: stall.end_ns)
     ends = np.array([stall.end_ns for stall in ordered], np.int64)
@@ -93,6 +94,18 @@ def attributed(misses: Sequence[Miss], stalls: Sequence[Stall], blind_ns: int = 
     for miss in misses:
         begin = int(np.searchsorted(ends, miss.from_ns))
         end = int(np.searchsorted(ends, miss.until_ns + longest_ns, side="right"))
-        overlapping = [s.duration_ns for s in ordered[begin:end] if s.start_ns <= miss.until_ns]
-        result.append(replace(miss, stall_ns=max(overlapping, default=0), blind_ns=blind_ns))
+        overlapping = [s for s in ordered[begin:end] if s.start_ns <= miss.until_ns]
+        longest = max((s.duration_ns for s in overlapping), default=0)
+        result.append(replace(miss, stall_ns=max(longest, _lost_on_one_cpu(overlapping)), blind_ns=blind_ns))
     return result
+
+
+def _lost_on_one_cpu(stalls: Sequence[Stall]) -> int:
+    """Time in stalls on the CPU that had most [ns]; `stalls` in the order of their ends."""
+    lost: dict[int, int] = {}
+    counted_until: dict[int, int] = {}
+    for stall in stalls:
+        start_ns = max(stall.start_ns, counted_until.get(stall.cpu, stall.start_ns))
+        lost[stall.cpu] = lost.get(stall.cpu, 0) + max(0, stall.end_ns - start_ns)
+        counted_until[stall.cpu] = stall.end_ns
+    return max(lost.values(), default=0)

@@ -172,6 +172,20 @@ def test_dump_decodes_by_the_dbc_and_filters_by_name(log, capsys):
     assert "no message 'Odo'" in refused(capsys, "dump", "--log", str(log), "Odo")
 
 
+def test_dump_as_json_is_a_document_per_line_with_the_signals(log, capsys):
+    lines = hil("dump", "--log", str(log), "--json").stdout.splitlines()
+    found = [json.loads(line) for line in lines]
+    assert len(found) == 300
+    motion = next(frame for frame in found if frame["name"] == "ODO_Motion")
+    assert motion["id"] == 0x184
+    assert motion["kind"] == "data"
+    assert motion["signals"]["Speed"] == 0
+    stranger = next(frame for frame in found if frame["name"] is None)
+    assert stranger["signals"] is None
+    assert bytes.fromhex(stranger["data"])
+    assert "--raw --json: one or the other" in refused(capsys, "dump", "--log", str(log), "--raw", "--json")
+
+
 def test_raw_dump_is_read_back_by_python_can(log, tmp_path):
     (tmp_path / "x.log").write_text(hil("dump", "--log", str(log), "--raw").stdout)
     with can.LogReader(tmp_path / "x.log") as back, can.LogReader(log / "frames.blf") as frames:

@@ -10,6 +10,7 @@ import time
 import pytest
 
 from hil.bench.errors import BenchError
+from hil.bench.rights import processor_rights
 from hil.bench.timing.cyclictest import (
     ALIGN_S,
     Cyclictest,
@@ -19,7 +20,6 @@ from hil.bench.timing.cyclictest import (
     parse_spikes,
     witness_period_ns,
 )
-from hil.bench.timing.host import processor_rights
 
 needs_cyclictest = pytest.mark.skipif(
     shutil.which("cyclictest") is None, reason="cyclictest is not installed (Debian package rt-tests)"
@@ -46,7 +46,7 @@ def test_a_report_becomes_latencies_with_its_overflows_at_the_maximum():
 
 def test_the_witness_looks_often_enough_to_see_half_of_a_stall_that_makes_a_node_miss():
     for period_ns in (1_000_000, 2_000_000, 10_000_000, 100_000_000):
-        assert witness_period_ns(period_ns) <= period_ns / 4
+        assert witness_period_ns(period_ns) <= period_ns / 2
 
 
 @pytest.mark.parametrize(

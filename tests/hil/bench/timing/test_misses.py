@@ -83,3 +83,24 @@ def test_a_long_stall_hidden_behind_many_short_ones_is_found():
     (miss,) = attributed(miss_of(3.0), [*short, Stall(1, 9 * MS, 40 * MS)])
     assert miss.seen
     assert miss.stall_ns == 31 * MS
+
+
+def stall_of(start_ms, end_ms, cpu=0):
+    return Stall(cpu, round(start_ms * MS), round(end_ms * MS))
+
+
+def test_several_stalls_on_one_cpu_explain_a_miss_that_none_of_them_would():
+    (miss,) = attributed(miss_of(3.0), [stall_of(10.0, 10.9), stall_of(11.2, 12.1)])
+    assert miss.stall_ns == pytest.approx(1.8 * MS)
+    assert miss.seen
+
+
+def test_stalls_of_different_cpus_are_not_added_up():
+    (miss,) = attributed(miss_of(3.0), [stall_of(10.0, 10.9), stall_of(11.2, 12.1, cpu=1)])
+    assert miss.stall_ns == pytest.approx(0.9 * MS)
+    assert not miss.seen
+
+
+def test_time_in_two_overlapping_stalls_counts_once():
+    (miss,) = attributed(miss_of(3.0), [stall_of(10.0, 11.0), stall_of(10.5, 11.2)])
+    assert miss.stall_ns == pytest.approx(1.2 * MS)

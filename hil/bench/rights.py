@@ -1,0 +1,29 @@
+"""Which real-time rights a process of this machine gets: a child tries them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+
+from hil.node import realtime
+
+__all__ = ["processor_rights"]
+
+
+def processor_rights(priority: int = 50) -> tuple[bool, bool, str]:
+    """Whether a process here gets SCHED_FIFO and may lock its memory, and why not; a child tries."""
+    if not hasattr(os, "fork"):
+        return False, False, "not on this system"
+    read, write = os.pipe()
+    pid = os.fork()
+    if pid == 0:  # so that this process keeps its policy
+        with contextlib.suppress(BaseException):
+            got = realtime.request(priority, None)
+            reply = f"{int(got.sched_fifo.granted)}{int(got.memory_lock.granted)}{got.memory_lock.detail}"
+            os.write(write, reply.encode())
+        os._exit(0)
+    os.close(write)
+    with os.fdopen(read, encoding="utf-8", errors="replace") as pipe:
+        reply = pipe.read()
+    os.waitpid(pid, 0)
+    return reply[:1] == "1", reply[1:2] == "1", reply[2:]
