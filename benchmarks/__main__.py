@@ -31,6 +31,9 @@ TITLES = {
 }
 """The benchmarks and what each measures, in the order of the page."""
 
+FILE_COLUMNS = 160
+"""Width of the table where it goes into a file."""
+
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
@@ -59,8 +62,11 @@ def main() -> int:
     for row in rows:
         peer = "-" if row.peer is None else f"{row.peer:.3g}"
         table.add_row(row.what, f"{row.ours:.3g}", peer, row.ratio_text, row.unit, row.peer_is)
-    Console().print(f"{platform.platform()}, Python {platform.python_version()}, {os.cpu_count()} processors")
-    Console().print(table)
+    console = Console(soft_wrap=True)
+    if not console.is_terminal:
+        console.width = FILE_COLUMNS
+    console.print(f"{platform.platform()}, Python {platform.python_version()}, {os.cpu_count()} processors")
+    console.print(table)
     return 0
 
 

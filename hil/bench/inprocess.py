@@ -216,7 +216,8 @@ class _NodeThread(threading.Thread):
 
 
 def _node_options(options: RunOptions, name: str, shared: Path) -> NodeOptions:
-    """What a node is told when it is a thread of this process."""
+    """What a node is told when it is a thread of this process: of `[timing]` what an overload does."""
+    timing = options.scenario.timing
     return NodeOptions(
         scenario=options.out / "scenario.toml",
         bus=options.bus,
@@ -226,4 +227,7 @@ def _node_options(options: RunOptions, name: str, shared: Path) -> NodeOptions:
         lock_memory=False,
         name=name,
         spin_ns=0,  # a spinning thread would hold the interpreter that the other needs
+        overload_grace_s=timing.startup_grace_s,
+        max_misses=timing.max_overloads,
+        max_consecutive_misses=timing.max_consecutive_overloads,
     )

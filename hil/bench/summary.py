@@ -181,6 +181,8 @@ def _timing(run: Run, status: Mapping[str, Any], process: str) -> dict[str, Any]
         "sched_fifo": bool(status.get("sched_fifo", False)),
         "mlock": bool(status.get("mlock", False)),
         "rights": status.get("rights", {}),
+        "spin": status.get("spin"),
+        "rehearsal": status.get("rehearsal"),
     }
 
 

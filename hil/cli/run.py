@@ -21,6 +21,7 @@ from hil.bench.outcome import RunOptions
 from hil.bench.scenario import Scenario, load_scenario
 from hil.canbus.transport import BusOptions, add_bus_arguments, default_options, options_from_namespace
 from hil.cli.progress import Progress
+from hil.cli.waiting import waiting_words
 from hil.record.log_formats import check_formats
 from hil.record.viewer import display_missing
 from hil.record.web_viewer import WebViewer
@@ -223,7 +224,8 @@ def _timing_lines(console: Console, summary: dict[str, Any]) -> None:
         console.print(
             f"[dim]{name}: {timing['cycles']} cycles, wake-up latency p50 {latency['p50']:.0f}"
             f" p99 {latency['p99']:.0f} max {latency['max']:.0f} us, execution p50 {execution['p50']:.0f}"
-            f" p99 {execution['p99']:.0f} us, {fifo}[/dim]",
+            f" p99 {execution['p99']:.0f} us, {fifo};"
+            f" {waiting_words(timing['spin'], timing['rehearsal'])}[/dim]",
             highlight=False,
             soft_wrap=True,
         )

@@ -15,6 +15,7 @@ from hil.bench.timing.campaign import Campaign
 from hil.bench.timing.limits import Judged, verdict
 from hil.bench.timing.request import FULL, FULL_ALONE, LOOP_PLAIN, LOOP_SPIN, PEER, TITLES, TimingRequest
 from hil.bench.timing.samples import Measured, Spread, ratio, spread
+from hil.cli.waiting import waiting_words
 
 BAR = " ▏▎▍▌▋▊▉█"
 WIDEST_BAR = 16
@@ -156,15 +157,9 @@ def loop_table(known: Measured) -> Table:
 
 
 def waiting_line(known: Measured) -> str:
-    """How the controller waited for its deadlines: the poll before each, and the rehearsal before that."""
+    """How the controller waited for its deadlines."""
     said = known.slices[-1].rights
-    spin, rehearsal = said.get("spin", {}), said.get("rehearsal", {})
-    if spin.get("mode", "off") == "off":
-        return f"the controller only sleeps: {spin.get('why', 'it said nothing else')}"
-    text = f"the controller polls for the last {spin['margin_ns'] / 1e3:.0f} us before a deadline"
-    if not rehearsal.get("runs"):
-        return f"{text}, without rehearsal"
-    return f"{text}; its code is rehearsed {rehearsal['lead_ns'] / 1e3:.0f} us before that"
+    return f"the controller {waiting_words(said.get('spin'), said.get('rehearsal'))}"
 
 
 def miss_lines(known: Measured, period_s: float) -> list[str]:

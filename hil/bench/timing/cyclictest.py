@@ -192,8 +192,8 @@ def offset_between(deadlines_ns: Sequence[int], period_ns: int) -> int:
 def witness_period_ns(period_ns: int) -> int:
     """How often the witness looks: twice in a period, at least every 5 ms, at most every 200 us.
 
-    More often costs the control step: every wake-up takes some of its caches. With eight more a period the
-    median of the step rose by a half.
+    More often costs the control step, because every wake-up takes some of its caches: with a look every ms
+    the median execution of a 10 ms loop was 178 us, in a run without a witness minutes before it 116 us.
     """
     return max(200_000, min(5_000_000, period_ns // 2))
 
