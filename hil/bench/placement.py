@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from hil.bench.errors import ScenarioError
-from hil.bench.rights import processor_rights
+from hil.bench.rights import fifo_granted
 
 __all__ = ["ControllerCpu", "Placement", "place", "usable_cpus"]
 
@@ -45,7 +45,7 @@ class Placement:
     @contextlib.contextmanager
     def launcher_kept_off(self) -> Iterator[None]:
         """Keep this process off the controller's CPU meanwhile. Who is started in there inherits that."""
-        if not self.others:
+        if not self.others or not hasattr(os, "sched_setaffinity"):
             yield
             return
         before = os.sched_getaffinity(0)
@@ -70,7 +70,7 @@ def place(asked: ControllerCpu, priority: int | None, *, cpus: Iterable[int] | N
             raise ScenarioError(f"timing.controller_cpu: {asked} is not among the usable CPUs, {allowed}")
         return Placement(asked, frozenset(usable) - {asked})
     pinned = asked == "auto" and len(usable) > 1 and bool(priority)
-    if not pinned or not hasattr(os, "sched_setaffinity") or not processor_rights(priority or 1)[0]:
+    if not pinned or not hasattr(os, "sched_setaffinity") or not fifo_granted(priority or 1):
         return Placement()
     return Placement(usable[-1], frozenset(usable[:-1]))
 

@@ -7,7 +7,7 @@ import os
 
 from hil.node import realtime
 
-__all__ = ["processor_rights"]
+__all__ = ["fifo_granted", "processor_rights"]
 
 
 def processor_rights(priority: int = 50) -> tuple[bool, bool, str]:
@@ -27,3 +27,16 @@ def processor_rights(priority: int = 50) -> tuple[bool, bool, str]:
         reply = pipe.read()
     os.waitpid(pid, 0)
     return reply[:1] == "1", reply[1:2] == "1", reply[2:]
+
+
+def fifo_granted(priority: int) -> bool:
+    """Whether SCHED_FIFO at this priority is granted: this thread takes it for a moment, and gives it back."""
+    if not hasattr(os, "sched_setscheduler"):
+        return False
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        return False
+    os.sched_setscheduler(0, policy, parameters)
+    return True
