@@ -17,7 +17,7 @@ from typing import Literal
 from hil.bench.errors import ScenarioError
 from hil.bench.rights import fifo_granted
 
-__all__ = ["ControllerCpu", "Placement", "place", "usable_cpus"]
+__all__ = ["ControllerCpu", "Placement", "may_use", "place", "usable_cpus"]
 
 ControllerCpu = int | Literal["auto", "any"]
 """`auto`: one of its own if there are two or more and SCHED_FIFO is granted; `any`: as the kernel likes."""
@@ -65,7 +65,7 @@ def place(asked: ControllerCpu, priority: int | None, *, cpus: Iterable[int] | N
     """
     usable = sorted(usable_cpus() if cpus is None else cpus)
     if isinstance(asked, int):
-        if asked not in usable:
+        if asked not in usable and (cpus is not None or not may_use(asked)):
             allowed = ", ".join(map(str, usable))
             raise ScenarioError(f"timing.controller_cpu: {asked} is not among the usable CPUs, {allowed}")
         return Placement(asked, frozenset(usable) - {asked})
@@ -75,8 +75,24 @@ def place(asked: ControllerCpu, priority: int | None, *, cpus: Iterable[int] | N
     return Placement(usable[-1], frozenset(usable[:-1]))
 
 
+def may_use(cpu: int) -> bool:
+    """Whether the kernel lets this thread run on a CPU: it goes there for a moment, and back.
+
+    CPUs that were isolated at boot (isolcpus) are not among `usable_cpus`, but who asks for one gets it.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return cpu in usable_cpus()
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except (OSError, ValueError, OverflowError):
+        return False
+    os.sched_setaffinity(0, before)
+    return True
+
+
 def usable_cpus() -> list[int]:
-    """The CPUs that this process may run on."""
+    """The CPUs that this process runs on if nobody asks for others."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))

@@ -30,7 +30,7 @@ def processor_rights(priority: int = 50) -> tuple[bool, bool, str]:
 
 
 def fifo_granted(priority: int) -> bool:
-    """Whether SCHED_FIFO at this priority is granted: this thread takes it for a moment, and gives it back."""
+    """Whether SCHED_FIFO at this priority is granted: this thread takes it for a moment and gives it back."""
     if not hasattr(os, "sched_setscheduler"):
         return False
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)

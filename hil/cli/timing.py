@@ -168,8 +168,7 @@ def _parts(spin: str, compare_recorder: bool) -> tuple[str, ...]:
 def _check_cpu(cpu: int | None) -> None:
     if cpu is None:
         return
-    from hil.bench.placement import usable_cpus
+    from hil.bench.placement import may_use, usable_cpus
 
-    allowed = usable_cpus()
-    if cpu not in allowed:
-        raise ScenarioError(f"--cpu {cpu}: this process may use {', '.join(map(str, allowed))}")
+    if not may_use(cpu):
+        raise ScenarioError(f"--cpu {cpu}: this process may use {', '.join(map(str, usable_cpus()))}")

@@ -32,7 +32,8 @@ class DeadlinesMissed(RuntimeError):
 class OverloadPolicy:
     """What missed deadlines mean, in the manner of Simulink Real-Time's overload options.
 
-    Misses in the first `startup_ns` are counted apart and never halt. After that the node halts with
+    Misses in the first cycles, as many as fit in `startup_ns` (skipped ones do not count), are counted apart
+    and never halt. After that the node halts with
     DeadlinesMissed above `maximum` misses in all or `maximum_consecutive` in a row; None: it never halts.
     """
 

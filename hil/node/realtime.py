@@ -127,13 +127,16 @@ def kept_off(cpu: int | None) -> Iterator[None]:
     """Keep this process off a CPU meanwhile; a child that is started in there stays off it. Never raises."""
     before = os.sched_getaffinity(0) if cpu is not None and hasattr(os, "sched_getaffinity") else set()
     others = before - {cpu}
-    if others and others != before:
-        os.sched_setaffinity(0, others)
+    moves = bool(others) and others != before
+    if moves:
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, others)
     try:
         yield
     finally:
-        if others and others != before:
-            os.sched_setaffinity(0, before)
+        if moves:
+            with contextlib.suppress(OSError):
+                os.sched_setaffinity(0, before)
 
 
 def die_with_parent(signal_number: int) -> bool:
@@ -217,10 +220,14 @@ def _pin(cpu: int | None) -> Right:
         return Right("cpu_affinity", "not asked for")
 
     def ask() -> str:
-        allowed = os.sched_getaffinity(0)
-        if cpu not in allowed:
-            raise ValueError(f"CPU {cpu} is not among those allowed, {', '.join(map(str, sorted(allowed)))}")
-        os.sched_setaffinity(0, {cpu})
+        # The kernel is asked, not the present affinity: that leaves out CPUs isolated at boot (isolcpus).
+        try:
+            os.sched_setaffinity(0, {cpu})
+        except (OSError, ValueError, OverflowError) as error:
+            if isinstance(error, PermissionError):
+                raise
+            allowed = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+            raise ValueError(f"CPU {cpu} is not to be had; the process runs on {allowed}") from None
         return f"CPU {cpu}"
 
     return _attempt("cpu_affinity", ask, "choose one of the CPUs that `taskset -p $$` shows")

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 ERROR_BITS = 31
-"""Longest error signalling: two error flags overlapping, delimiter, interframe space."""
+"""Longest error signalling: two error flags (6 + 6), delimiter (8), interframe space (3), suspend (8)."""
 
 BUSY_PERIOD_LIMIT_NS = 60_000_000_000
 """A busy period that is longer is taken as having no end: the bus is full for practical purposes."""

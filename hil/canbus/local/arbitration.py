@@ -38,6 +38,7 @@ class Arbitration:
         """The node that wins at `start_ns`, and its frame, which leaves the queue; one has to be ready."""
         best: tuple[int, int] | None = None
         winner: Hashable = None
+        same = 0  # others that offer the identifier of the best one
         for name, node in self._offering.items():
             if node.suspended_until_ns > start_ns:
                 continue
@@ -45,10 +46,13 @@ class Arbitration:
             if first.queued_ns > start_ns:
                 continue
             rank = (first.arbitration, first.key[1])
-            if best is not None and rank[0] == best[0]:
-                self.collisions += 1
+            if best is None or rank[0] < best[0]:
+                same = 0
+            elif rank[0] == best[0]:
+                same += 1
             if best is None or rank < best:
                 best, winner = rank, name
+        self.collisions += same
         node = self._offering[winner]
         entry = heapq.heappop(node.waiting)  # a more urgent one may be queued meanwhile
         if not node.waiting:

@@ -44,7 +44,7 @@ class Connection:
         """Take over what a HELLO says; raises WireError when it makes no sense."""
         try:
             self.pid = int(content.get("pid", 0))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise WireError("HELLO without a process id") from None
         self.name = " ".join(str(content.get("name", "?")).split())[:80]
         self.receive_own = bool(content.get("receive_own"))
@@ -57,7 +57,7 @@ class Connection:
         filters = content.get("filters")
         try:
             self.acceptance = None if filters is None else Acceptance(filters)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise WireError("filters are not a list of (id, mask, extended)") from None
 
     def deliver(self, records: bytes | bytearray) -> bool:

@@ -31,6 +31,13 @@ class Disturbance:
     failed: int = 0
 
     def __post_init__(self) -> None:
+        # A program may have sent them: found out here, and not when they meet a frame.
+        for name in ("can_id", "mask", "bit", "count", "failed"):
+            value = getattr(self, name)
+            if not isinstance(value, int) and (value is not None or name in ("mask", "failed")):
+                raise TypeError(f"{name} {value!r} is no whole number")
+        if self.choose is not None and not callable(self.choose):
+            raise TypeError(f"choose {self.choose!r} cannot be called")
         if not 0.0 <= self.probability <= 1.0:
             raise ValueError(f"probability {self.probability:g} is not in 0..1")
         if self.bit is not None and self.bit < 0:

@@ -10,7 +10,7 @@ from hil.canbus.local import wire
 from hil.canbus.local.connection import Connection
 from hil.canbus.local.filters import marked_own, select_records
 
-_CLOCK_STEP_NS = 1_000_000_000  # a clock set back further than this is followed
+CLOCK_STEP_NS = 1_000_000_000  # a clock set back further than this is followed
 _CLIENTS_TOLD = 100  # in the statistics, which have to fit a control record
 
 
@@ -40,7 +40,7 @@ class Exchange:
         """The time before that of the next frame, CLOCK_REALTIME ns; never earlier than the last frame's."""
         now_ns = time.time_ns()
         last_ns = self._last_stamp_ns
-        return now_ns - 1 if now_ns > last_ns or now_ns < last_ns - _CLOCK_STEP_NS else last_ns
+        return now_ns - 1 if now_ns > last_ns or now_ns < last_ns - CLOCK_STEP_NS else last_ns
 
     def forward(
         self, sender: Connection, records: bytearray, count: int, stamp_ns: int, *, with_fd: bool

@@ -269,6 +269,8 @@ class Hub:
 
     def _set_events(self, changed: Connection | None) -> None:
         """Read from a client unless it has to be held; write while it has a backlog."""
+        if changed is not None and changed.sock.fileno() < 0:
+            return  # it has left; what it sent may be on the wire still
         for client in self._connections.values() if changed is None else (changed,):
             events = 0 if self._exchange.held(client) else selectors.EVENT_READ
             if client.backlog:

@@ -29,6 +29,8 @@ Record = tuple[int, int, bytes, int, int]
 NOT_DATA = REMOTE | ERROR
 
 _CHUNK_BYTES = 64 << 10
+_AHEAD_BYTES = 256 << 10
+"""So much a sender reads ahead to learn what was sent: 10,000 classic frames that wait for their reader."""
 _CHUNKS_A_DRAIN = 64  # so that a drain ends even when others send without a pause
 _FILTER_LIMIT_S = 5.0
 _QUERY_LIMIT_S = 0.2
@@ -107,6 +109,7 @@ class Stream:
         while True:
             remaining_s = None if deadline_s is None else deadline_s - time.monotonic()
             if remaining_s is not None and remaining_s <= 0:
+                self.credit.hand(-count_frames(record) if self.bitrate is not None else 0)
                 raise TransmitQueueFullError(self._why_full(timeout_s or 0.0))
             # The kernel calls a socket writable late, when most of it is free: look in between.
             wire.wait_writable(self._sock, 0.05 if remaining_s is None else min(remaining_s, 0.05))
@@ -117,8 +120,11 @@ class Stream:
         """With a bit rate: wait until the transmit queue has room; returns what is left of `timeout_s`."""
         frames = count_frames(record)
         deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
-        # Who watches the file number has to find what arrives there: then only the hub holds this sender.
-        while not self.credit.allows(frames) and frames and not self._watched:
+        # Who watches the file number has to find what arrives there, and who never reads shall not hoard it:
+        # then only the hub holds this sender.
+        while frames and not self._watched and not self.credit.allows(frames):
+            if len(self._buffer) - self._at >= _AHEAD_BYTES:
+                break
             with self._receive_lock:
                 pulled = self._pull(read_ahead=True)
                 if pulled:

@@ -19,7 +19,7 @@ from typing import Any
 
 from hil.canbus.local.connection import Connection
 from hil.canbus.local.credit import sent_record
-from hil.canbus.local.exchange import Exchange
+from hil.canbus.local.exchange import CLOCK_STEP_NS, Exchange
 from hil.canbus.local.medium import Completed, Medium, Reported, WireFrame
 from hil.canbus.local.rates import WireOptions
 from hil.canbus.local.wire import ERROR, FD, HEADER, HEADER_SIZE, STAMP, WireError
@@ -59,7 +59,7 @@ class TimedExchange(Exchange):
         self._hold_frames = 2 * options.tx_queue_frames
         self._done: dict[int, int] = {}  # frames by client number: sent, or dropped at bus-off
         self._full: set[int] = set()
-        self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._offset_ns = clock_offset_ns()
         self._last_ns = 0
         self._spin_ns = 0
         _ask_for_exact_timers()
@@ -215,10 +215,24 @@ class TimedExchange(Exchange):
         return self._last_ns
 
     def _follow_clock(self, now_ns: int) -> None:
-        offset_ns = time.time_ns() - now_ns
+        if abs(time.time_ns() - now_ns - self._offset_ns) <= _CLOCK_SLIP_NS:
+            return
+        offset_ns = clock_offset_ns()  # the clock was set, or the hub was held up between the two looks
         if abs(offset_ns - self._offset_ns) > _CLOCK_SLIP_NS:
+            if offset_ns < self._offset_ns - CLOCK_STEP_NS:
+                self._last_ns = 0
             self._offset_ns = offset_ns
-            self._last_ns = 0
+
+
+def clock_offset_ns() -> int:
+    """CLOCK_REALTIME minus CLOCK_MONOTONIC [ns]: the reading of a few that took the shortest time."""
+    readings = []
+    for _ in range(3):
+        before_ns = time.monotonic_ns()
+        wall_ns = time.time_ns()
+        after_ns = time.monotonic_ns()
+        readings.append((after_ns - before_ns, wall_ns - (before_ns + after_ns) // 2))
+    return min(readings)[1]
 
 
 def _has_ended(sock: socket.socket) -> bool:

@@ -76,7 +76,7 @@ def control_content(data: bytes | bytearray | memoryview) -> dict[str, Any]:
     """The content of a control record's data; raises WireError when it is not a JSON object."""
     try:
         content = json.loads(bytes(data))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise WireError(f"control record is not JSON: {error}") from None
     if not isinstance(content, dict):
         raise WireError("control record is not a JSON object")

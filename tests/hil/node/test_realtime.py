@@ -98,10 +98,26 @@ def test_memory_is_not_locked_into_a_limit_that_later_allocations_would_hit(syst
     assert not [call for call in system["library"].calls if call[0] == "mlockall"]
 
 
-def test_forbidden_cpu_is_refused_and_the_allowed_ones_are_named(system):
+def test_forbidden_cpu_is_refused_and_the_allowed_ones_are_named(system, monkeypatch):
+    monkeypatch.setattr(os, "sched_setaffinity", refuse(errno.EINVAL))
     right = realtime.request(0, 7).cpu_affinity
     assert right.state == "refused"
     assert "0, 1" in right.detail
+
+
+def test_cpu_isolated_at_boot_is_granted_though_it_is_not_in_the_affinity(system):
+    assert realtime.request(0, 3).cpu_affinity.granted
+    assert ("sched_setaffinity", {3}) in system["calls"]
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_staying_off_a_cpu_never_raises(system, monkeypatch, refused):
+    if refused:
+        monkeypatch.setattr(os, "sched_setaffinity", refuse(errno.EPERM))
+    with realtime.kept_off(1):
+        calls = [call for call in system["calls"] if call[0] == "sched_setaffinity"]
+        assert calls == ([] if refused else [("sched_setaffinity", {0})])
+    assert refused or system["calls"][-1] == ("sched_setaffinity", {0, 1})
 
 
 def test_priority_above_the_highest_is_refused(system):
@@ -122,6 +138,7 @@ def test_platform_without_these_calls_says_so(system, monkeypatch, tmp_path):
     monkeypatch.setattr(realtime, "_c_library", missing)
     monkeypatch.delattr(os, "sched_setscheduler")
     monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.delattr(os, "sched_setaffinity")
     monkeypatch.setattr(realtime, "DMA_LATENCY", tmp_path / "none")
     monkeypatch.setattr(realtime.sys, "platform", "darwin")
     rights = realtime.request(50, 0)

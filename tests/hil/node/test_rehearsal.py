@@ -17,7 +17,7 @@ def bench(contract, fakes):
     """A node in real time on a fake clock, with a twin of its unit."""
 
     class Bench:
-        def __init__(self, *, takes_ns=400_000, margin_ns=200_000, twin=True):
+        def __init__(self, *, takes_ns=400_000, margin_ns=200_000, longest_ns=None, twin=True):
             self.time = fakes.Time()
             self.transport = fakes.Transport()
             self.unit, self.twin = fakes.Unit(), fakes.Unit()
@@ -27,7 +27,7 @@ def bench(contract, fakes):
             self.clock = RealTimeClock(
                 PERIOD, 700_000, monotonic=self.time.monotonic, sleep=self.time.sleep,
                 realtime=self.time.realtime, transport=self.transport, rehearsal=self.rehearsal,
-                spin=SpinChoice("fixed", "test", margin_ns, margin_ns),
+                spin=SpinChoice("auto", "test", margin_ns, longest_ns or margin_ns),
             )  # fmt: skip
             self.node = Node(
                 self.unit, self.transport, self.clock, None, contract, monotonic=self.time.monotonic,
@@ -93,6 +93,43 @@ def test_lead_follows_what_a_rehearsal_takes(bench, protected):
     b = bench(takes_ns=150_000)
     b.cycles(protected("ODO_Motion"), 3000)
     assert 150_000 <= b.rehearsal.lead.now_ns <= 250_000
+
+
+def settled(bench):
+    """A node whose lead has come down to its rehearsals of 300 us, its margin to the smallest, 100 us."""
+    b = bench(takes_ns=300_000, margin_ns=100_000, longest_ns=300_000)
+    for _ in range(5000):
+        b.clock.margin.observe(0)
+        b.rehearsal.lead.observe(b.takes_ns)
+    assert b.clock.margin.now_ns == 100_000
+    assert 300_000 < b.rehearsal.lead.now_ns < 350_000
+    return b
+
+
+def test_rehearsals_longer_than_their_lead_widen_the_margin_of_the_poll(bench, protected):
+    b = settled(bench)
+    motion = protected("ODO_Motion")
+    assert max(b.cycles(motion, 20)) < 1_000
+    assert b.clock.margin.now_ns == 100_000
+    b.takes_ns = 450_000  # the end of it would be past the deadline
+    b.cycles(motion, 1)
+    assert 100_000 < b.clock.margin.now_ns <= 125_000
+    # Margin and lead grow until both together hold it again.
+    b.cycles(motion, 30)
+    assert 110_000 < b.clock.margin.now_ns <= 300_000
+    runs = b.rehearsal.runs
+    assert max(b.cycles(motion, 30)[12:]) < 1_000  # the window of the latency is 10 cycles long
+    assert b.rehearsal.runs == runs + 30
+
+
+def test_late_sleep_and_long_rehearsal_together_widen_the_margin(bench, protected):
+    alone = []
+    for oversleep_ns, takes_ns in ((60_000, 300_000), (0, 360_000), (60_000, 360_000)):
+        b = settled(bench)
+        b.time.oversleep_ns, b.takes_ns = oversleep_ns, takes_ns
+        b.cycles(protected("ODO_Motion"), 1)
+        alone.append(b.clock.margin.now_ns > 100_000)
+    assert alone == [False, False, True]
 
 
 def test_rehearsal_that_takes_too_long_is_given_up(bench, protected):

@@ -327,6 +327,14 @@ def test_equal_identifiers_at_one_instant_are_counted():
     assert medium.collisions == 1
 
 
+def test_equal_identifiers_that_both_lose_have_not_met_yet():
+    medium = two_nodes()
+    for node, can_id in (("a", 0x200), ("b", 0x200), ("c", 0x100)):
+        medium.submit(node, WireFrame(can_id, node.encode()), 0)
+    assert [entry.sender for entry in medium.advance(S)] == ["c", "a", "b"]
+    assert medium.collisions == 1
+
+
 @pytest.mark.parametrize("rates", [(0, None), (-1, None), (500_000, 0)])
 def test_bit_rate_has_to_be_above_0(rates):
     with pytest.raises(ValueError, match="must be above 0"):
