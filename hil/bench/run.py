@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import signal
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -22,12 +23,16 @@ from hil.record.about import add_verdict
 EXIT_PASSED, EXIT_FAILED, EXIT_DIED = 0, 1, 3
 
 
-def run_scenario(options: RunOptions, *, show: Show) -> dict[str, Any]:
+def _told(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def run_scenario(options: RunOptions, *, show: Show, tell: Callable[[str], None] = _told) -> dict[str, Any]:
     """Drive a scenario and judge it; returns what summary.json holds.
 
     python-can's `virtual` bus joins threads of one process only, so with it the whole run stays in
     this process. Raises the errors of what could not be started; an interrupted or broken run still
-    has its recording and its summary.
+    has its recording and its summary. `tell` gets a line for what went wrong with the recording at the end.
     """
     check_loss(options)
     contract = Contract.load(options.dbc)
@@ -37,7 +42,17 @@ def run_scenario(options: RunOptions, *, show: Show) -> dict[str, Any]:
         summary = summarise(options, outcome, contract)
         (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         write_junit(summary, options.out / "junit.xml")
-        add_verdict(options.out / "run.rrd", summary)
+        recording = options.out / "run.rrd"
+        if not outcome.recorder and not outcome.ending.because.startswith("recorder:"):
+            tell(
+                f"the recorder did not end well (its words: {options.out / 'logs' / 'recorder.log'});"
+                f" {recording} and frames.blf hold what it had written until then"
+            )
+        try:
+            add_verdict(recording, summary)
+        except Exception as error:  # whatever it is: the run is over, and its summary is on disk
+            reason = " ".join(str(error).split()) or type(error).__name__
+            tell(f"the verdict is in summary.json only, not in the recording: {reason}")
     return summary
 
 

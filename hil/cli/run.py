@@ -117,7 +117,11 @@ def run(
         if viewer is not None:
             options = replace(options, viewer_url=viewer.url)
         with Progress(loaded, console=console) as progress:
-            summary = run_scenario(options, show=lambda view, speedup: progress.show(view, speedup=speedup))
+            summary = run_scenario(
+                options,
+                show=lambda view, speedup: progress.show(view, speedup=speedup),
+                tell=lambda line: typer.echo(f"hil run: {line}", err=True),
+            )
         _tell(console, summary, directory, as_json=as_json)
         if viewer is not None and sys.stdin.isatty():
             console.print(f"still to be seen at {viewer.address}   (Ctrl-C ends it)", soft_wrap=True)
