@@ -58,9 +58,8 @@ wheel: $(VENV)/.dev ## build dist/*.whl
 pictures: $(VENV)/.dev ## render the pictures of the documentation from a fresh run
 	rm -rf runs/pictures runs/pictures-profile runs/pictures-compare
 	$(BIN)/hil run --out runs/pictures
-	$(BIN)/python -c "from pathlib import Path; from hil.record.render import render_all; \
-	  render_all(Path('runs/pictures/run.rrd'), Path('runs/pictures'))"
-	cp runs/pictures/drive.png runs/pictures/timing.png docs/pictures/
+	$(BIN)/hil view runs/pictures --render runs/pictures
+	cd runs/pictures && cp drive.png law.png timing.png bus.png ../../docs/pictures/
 	$(BIN)/hil profile cat_linh_la_thanh "Cat Linh" "La Thanh" --time 78 --compare --out runs/pictures-profile
 	cp runs/pictures-profile/profile.png docs/pictures/profile.png
 	$(BIN)/hil compare --laws all --out runs/pictures-compare

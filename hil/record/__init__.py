@@ -7,6 +7,7 @@ libraries behind them are large, and a program that only lists scenarios need no
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from hil.record.reader import Run, RunEvent
     from hil.record.recorder import Recorder, RecorderOptions, RecordingStats
     from hil.record.run_data import Column, RunData, SignalInfo, open_run
+
+# Rerun warns of every file that is written without a footer, as ours is until it is whole (compact.py).
+os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")
 
 __all__ = [
     "Column",

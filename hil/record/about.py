@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from rerun.chunk import RrdReader
 
 from hil.record.dashboard import GREEN, GREY, RED
 from hil.record.errors import RecordingUnreadable
+from hil.record.rrd import open_rrd
 from hil.record.viewer import viewer_binary
 
 __all__ = [
@@ -75,7 +75,7 @@ def add_verdict(recording: Path, summary: Mapping[str, Any]) -> None:
     `summary` is what summary.json holds. The rest of the recording stays as it is; it is replaced in one
     step. Raises RecordingUnreadable.
     """
-    entry = RrdReader(recording).recordings()[0]
+    entry = open_rrd(recording).recordings()[0]
     extra = recording.with_name(f"{recording.name}.{os.getpid()}.verdict")
     merged = recording.with_name(f"{recording.name}.{os.getpid()}.new")
     try:
@@ -152,7 +152,7 @@ def _last_instant(recording: Path) -> dict[str, tuple[int, int]]:
     import pyarrow as pa
 
     ends: dict[str, tuple[int, int]] = {}
-    for chunk in RrdReader(recording).stream().filter(content=["/state/**", "/levels/**"], is_static=False):
+    for chunk in open_rrd(recording).stream().filter(content=["/state/**", "/levels/**"], is_static=False):
         batch = chunk.to_record_batch()
         for name in ("bus_time", "sim_time", "cycle", "position"):
             if name in batch.schema.names and batch.num_rows:

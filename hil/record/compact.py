@@ -21,10 +21,11 @@ import pyarrow.compute as pc
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
-from rerun.chunk import Chunk, OptimizationProfile, RrdReader
+from rerun.chunk import Chunk, OptimizationProfile
 
 from hil.record.charts import UNIT_SUFFIX
 from hil.record.column_store import FOLDER, STORED, TIME_COLUMNS, ColumnStore
+from hil.record.rrd import open_rrd
 from hil.record.thinning import Thinner
 from hil.record.viewer import viewer_binary
 
@@ -48,7 +49,7 @@ def compact(
     First columns/ is complete, then the recording is replaced, each in one step: whatever happens here, no
     sample is lost.
     """
-    entry = RrdReader(recording).recordings()[0]
+    entry = open_rrd(recording).recordings()[0]
     draft = recording.with_name(f"{recording.name}.{os.getpid()}.new")
     numbers = recording.with_name(f"{FOLDER}.{os.getpid()}.new")
     try:
@@ -56,7 +57,7 @@ def compact(
             entry.application_id, recording_id=entry.recording_id, send_properties=False
         )
         joined.set_sinks(rr.FileSink(draft, write_footer=True), default_blueprint=dashboard())
-        stream = RrdReader(recording).stream()
+        stream = open_rrd(recording).stream()
         if thin:
             stream = stream.drop(content=[f"{start}**" for start in STORED])
         joined.send_chunks(stream.collect(optimize=OptimizationProfile.OBJECT_STORE))
@@ -178,7 +179,7 @@ def _values(batch: pa.RecordBatch, component: str, kind: pa.DataType) -> pa.Arra
 def _stored_chunks(recording: Path) -> Iterator[Chunk]:
     """The pieces of the entities that are stored, one at a time."""
     wanted = [f"{start}**" for start in STORED]
-    yield from RrdReader(recording).stream().filter(content=wanted, is_static=False)
+    yield from open_rrd(recording).stream().filter(content=wanted, is_static=False)
 
 
 def _integers(column: pa.Array) -> NDArray[np.int64]:

@@ -29,6 +29,7 @@ from hil.record.errors import NotRecorded, RecordError, RecordingUnreadable
 from hil.record.recorder import RECORDING
 from hil.record.rerun_sink import component_name, with_unit
 from hil.record.rings import TIMING_COLUMNS
+from hil.record.rrd import open_rrd
 
 __all__ = ["MessageColumns", "Run", "RunEvent", "open_run"]
 
@@ -261,7 +262,7 @@ def open_run(path: Path | str) -> Run:
 def _read(file: Path) -> tuple[dict[str, list[Chunk]], bool]:
     """All chunks of a file by entity, and whether it was finished."""
     chunks: dict[str, list[Chunk]] = defaultdict(list)
-    reader = RrdReader(file)
+    reader = open_rrd(file)
     if reader.recordings():
         for chunk in reader.stream():
             chunks[chunk.entity_path].append(chunk)

@@ -38,7 +38,9 @@ class RerunSink:
             recording_id=recording_id,
             batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_INTERVAL),
         )
-        file = rr.FileSink(path, write_footer=True)
+        # A footer names every piece, and they would wait for it in memory: megabytes a minute on a busy bus.
+        # It comes when the pieces are joined (compact.py).
+        file = rr.FileSink(path, write_footer=False)
         sinks = (file,) if viewer_url is None else (file, rr.GrpcSink(viewer_url))
         self._recording.set_sinks(*sinks, default_blueprint=blueprint)
         self._recording.set_log_time_enabled(False)
