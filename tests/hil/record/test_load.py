@@ -1,4 +1,4 @@
-"""A busy bus for as long as one likes: no frame is lost, and the recorder's memory does not grow with them."""
+"""A busy bus for as long as one likes: no frame is lost, and the memory of the recorder does not grow."""
 
 import sys
 import time
