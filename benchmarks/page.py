@@ -10,29 +10,46 @@ from pathlib import Path
 
 from benchmarks.rows import Row
 
+HEADING = "### `"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 
 def write(page: Path, measured: Mapping[str, Sequence[Row]], titles: Mapping[str, str]) -> None:
-    """Put the tables between the page's two marks. Raises ValueError when it does not have them."""
+    """Put the tables between the page's two marks, in the order of `titles`; others that are there stay.
+
+    Raises ValueError when the page does not have the marks.
+    """
     text = page.read_text(encoding="utf-8")
     head, begin, rest = text.partition(BEGIN)
-    _, end, tail = rest.partition(END)
+    before, end, tail = rest.partition(END)
     if not begin or not end:
         raise ValueError(f"{page}: needs the lines {BEGIN} and {END}; the tables go between them")
-    page.write_text(f"{head}{BEGIN}\n\n{tables(measured, titles)}\n{END}{tail}", encoding="utf-8")
+    sections = _sections(before) | {
+        name: section(name, rows, titles[name]) for name, rows in measured.items()
+    }
+    shown = "\n\n".join(sections[name] for name in titles if name in sections)
+    page.write_text(f"{head}{BEGIN}\n\n{shown}\n\n{END}{tail}", encoding="utf-8")
 
 
-def tables(measured: Mapping[str, Sequence[Row]], titles: Mapping[str, str]) -> str:
-    """One table for each benchmark, and what it was measured on."""
+def section(name: str, rows: Sequence[Row], title: str) -> str:
+    """The table of one benchmark, and what it was measured on."""
     host = f"{platform.system()} {platform.release()}, {os.cpu_count()} processors"
-    parts = [f"Measured on {datetime.now(UTC):%Y-%m-%d}: {host}, Python {platform.python_version()}.\n"]
-    for name, rows in measured.items():
-        parts.append(f"### `{name}`: {titles[name]}\n")
-        parts.append("| what | ours | peer | ours / peer | unit | peer is |\n|:--|--:|--:|--:|:--|:--|")
-        for row in rows:
-            peer = "–" if row.peer is None else f"{row.peer:.3g}"
-            ratio = row.ratio_text.replace("-", "–")
-            parts.append(f"| {row.what} | {row.ours:.3g} | {peer} | {ratio} | {row.unit} | {row.peer_is} |")
-        parts.append("")
-    return "\n".join(parts)
+    lines = [
+        f"{HEADING}{name}`: {title}",
+        "",
+        f"Measured on {datetime.now(UTC):%Y-%m-%d}: {host}, Python {platform.python_version()}.",
+        "",
+        "| what | ours | peer | ours / peer | unit | peer is |",
+        "|:--|--:|--:|--:|:--|:--|",
+    ]
+    for row in rows:
+        peer = "–" if row.peer is None else f"{row.peer:.3g}"
+        ratio = row.ratio_text.replace("-", "–")
+        lines.append(f"| {row.what} | {row.ours:.3g} | {peer} | {ratio} | {row.unit} | {row.peer_is} |")
+    return "\n".join(lines)
+
+
+def _sections(text: str) -> dict[str, str]:
+    """The tables that are there, by benchmark."""
+    parts = text.split(f"\n{HEADING}")[1:]
+    return {part.partition("`")[0]: f"{HEADING}{part.strip()}" for part in parts}

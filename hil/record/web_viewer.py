@@ -18,8 +18,8 @@ from hil.record.viewer import VIEWER_MEMORY, free_port, viewer_binary
 __all__ = ["LOCAL_HOST", "WebViewer"]
 
 LOCAL_HOST = "127.0.0.1"
-DATA_PORT, PAGE_PORT = 9876, 9090
-"""Rerun's own; another free one where somebody has it."""
+DATA_PORT, PAGE_PORT = 9877, 9090
+"""Another free one where somebody has it. Not 9876: whoever listens there is taken for a viewer's window."""
 START_TIMEOUT_S = 20.0
 
 

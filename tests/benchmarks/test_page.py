@@ -24,15 +24,17 @@ def test_the_page_shows_every_benchmark():
     assert shown == list(TITLES)
 
 
-def test_tables_replace_what_was_measured_before_and_leave_the_rest(tmp_path):
+def test_tables_replace_those_of_the_same_benchmark_and_leave_the_rest(tmp_path):
     page = tmp_path / "page.md"
-    page.write_text(f"# Head\n{BEGIN}\nold figures\n{END}\n\nTail\n")
+    page.write_text(f"# Head\n{BEGIN}\n\n### `laws`: older\n\nit stays\n\n{END}\n\nTail\n")
     for _ in range(2):
-        write(page, ROWS, {"fuzzy": "one evaluation"})
+        write(page, ROWS, {"fuzzy": "one evaluation", "laws": "of every law"})
     text = page.read_text()
     assert text.startswith("# Head\n")
     assert text.endswith("\n\nTail\n")
-    assert "old figures" not in text
+    assert text.count("### `laws`: older") == 1
+    assert "it stays" in text
+    assert text.index("### `fuzzy`") < text.index("### `laws`")
     assert text.count("### `fuzzy`: one evaluation") == 1
     assert "| a step | 2 | 1e+03 | 1/500 | us | scikit-fuzzy |" in text
     assert "| alone | 3 | – | – | us | - |" in text
