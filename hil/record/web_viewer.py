@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +14,7 @@ from types import TracebackType
 from typing import Self
 from urllib.parse import quote
 
+from hil.node.realtime import die_with_parent
 from hil.record.errors import ViewerUnavailable
 from hil.record.viewer import VIEWER_MEMORY, free_port, viewer_binary
 
@@ -41,7 +44,13 @@ class WebViewer:
             "--web-viewer-port", str(page_port), "--server-memory-limit", VIEWER_MEMORY,
             *(str(file) for file in files),
         ]  # fmt: skip
-        self._server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        self._server = subprocess.Popen(
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=_end_with_parent if sys.platform.startswith("linux") else None,  # noqa: PLW1509
+        )
         try:
             self._await((data_port, page_port), host)
         except BaseException:
@@ -87,6 +96,10 @@ class WebViewer:
             if time.monotonic() > deadline:
                 raise ViewerUnavailable(f"the web viewer did not answer within {START_TIMEOUT_S:g} s")
             time.sleep(0.05)
+
+
+def _end_with_parent() -> None:
+    die_with_parent(signal.SIGTERM)  # also where nobody can close it: a command that was killed
 
 
 def _port(wanted: int) -> int:

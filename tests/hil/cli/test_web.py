@@ -37,7 +37,8 @@ def test_a_run_shown_in_a_browser_is_a_run_like_any_other(run):
     assert (out / "run.rrd").is_file()
 
 
-def test_view_serves_page_and_recording_until_it_is_interrupted(run):
+@pytest.mark.parametrize(("ended_by", "code"), [(signal.SIGINT, 0), (signal.SIGKILL, -signal.SIGKILL)])
+def test_view_serves_page_and_recording_until_it_ends(run, ended_by, code):
     out, _ = run
     server = subprocess.Popen([*HIL, "view", str(out), "--web"], stdout=subprocess.PIPE, text=True)
     try:
@@ -47,8 +48,8 @@ def test_view_serves_page_and_recording_until_it_is_interrupted(run):
         (data,) = parse_qs(urlsplit(address).query)["url"]
         assert re.fullmatch(r"rerun\+http://127\.0\.0\.1:\d+/proxy", data)
     finally:
-        server.send_signal(signal.SIGINT)
-    assert server.wait(20) == 0
+        server.send_signal(ended_by)
+    assert server.wait(20) == code
     deadline = time.monotonic() + 10
     while True:
         try:
