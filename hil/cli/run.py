@@ -18,7 +18,8 @@ from rich.table import Table
 from hil.bench.directory import new_run_directory
 from hil.bench.errors import ScenarioError
 from hil.bench.outcome import RunOptions
-from hil.bench.scenario import Scenario, load_scenario
+from hil.bench.scenario import BusTable, Scenario, load_scenario
+from hil.canbus.socketcan_rate import check_bitrate
 from hil.canbus.transport import BusOptions, add_bus_arguments, default_options, options_from_namespace
 from hil.cli.progress import Progress
 from hil.cli.waiting import waiting_words
@@ -146,7 +147,7 @@ def _tell(console: Console, summary: dict[str, Any], directory: Path, *, as_json
 
 
 def bus_options(
-    scenario: Scenario,
+    scenario: Scenario | None,
     interface: str | None,
     channel: str | None,
     bitrate: int | None,
@@ -154,12 +155,13 @@ def bus_options(
     bus_kwargs: list[str],
 ) -> BusOptions:
     """The bus: the command line wins over the scenario, the scenario over can.conf and defaults."""
-    interface = interface if interface is not None else scenario.bus.interface
-    channel = channel if channel is not None else scenario.bus.channel
-    bitrate = bitrate if bitrate is not None else scenario.bus.bitrate
+    wanted = scenario.bus if scenario is not None else BusTable()
+    interface = interface if interface is not None else wanted.interface
+    channel = channel if channel is not None else wanted.channel
+    bitrate = bitrate if bitrate is not None else wanted.bitrate
     if bitrate is not None and bitrate <= 0:
         raise ScenarioError(f"--bitrate {bitrate}: must be greater than 0 bit/s")
-    data_bitrate = scenario.bus.data_bitrate
+    data_bitrate = wanted.data_bitrate
     if data_bitrate is not None and not any(word.startswith("data_bitrate=") for word in bus_kwargs):
         bus_kwargs = [*bus_kwargs, f"data_bitrate={data_bitrate}"]
     if interface is None and channel is None and bitrate is None and not fd and not bus_kwargs:
@@ -174,7 +176,9 @@ def bus_options(
         arguments += ["--bus-kwargs", *bus_kwargs]
     parser = _BusParser(prog="hil run", add_help=False)
     add_bus_arguments(parser)
-    return options_from_namespace(parser.parse_args(arguments))
+    bus = options_from_namespace(parser.parse_args(arguments))
+    check_bitrate(bus)
+    return bus
 
 
 class _BusParser(argparse.ArgumentParser):
