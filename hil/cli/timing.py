@@ -48,8 +48,9 @@ def timing(
     ] = None,
     priority: Annotated[int, typer.Option(help="SCHED_FIFO priority, 1 to 88; 0: SCHED_OTHER for all.")] = 50,
     spin: Annotated[
-        str, typer.Option(help="How long to poll the clock before a deadline: auto, 0, or us.")
-    ] = "auto",
+        str | None,
+        typer.Option(help="How long to poll the clock before a deadline: auto, 0, or us [the scenario's]."),
+    ] = None,
     limits: Annotated[Path | None, typer.Option(help="TOML file of limits [those shipped].")] = None,
     slices: Annotated[int | None, typer.Option(help="Slices of each part [none longer than 10 s].")] = None,
     witness: Annotated[
@@ -77,7 +78,7 @@ def timing(
 
     [bold]hil timing --witness --duration 600 --period 0.001[/bold]   is every miss explained?
     """
-    check(period, duration, slices, spin)
+    check(period, duration, slices, spin or "auto")
     if not 0 <= priority <= MAX_PRIORITY:
         raise ScenarioError(f"--priority {priority}: must be 0 to {MAX_PRIORITY}")
     _check_cpu(cpu)
@@ -94,7 +95,8 @@ def timing(
     if cpu is None:
         from hil.bench.placement import place
 
-        cpu = place("auto", priority).controller
+        cpu = place(loaded.timing.controller_cpu, priority).controller
+    spin = spin or str(loaded.timing.spin_us)
     bus = bus_options(loaded, interface, channel, bitrate, fd, [])
     if bus.interface == "virtual":
         raise ScenarioError(

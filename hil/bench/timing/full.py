@@ -145,9 +145,9 @@ class _Bench:
         for name in NODES:
             arguments = ["--scenario", str(scenario), *common]
             arguments += ["--ring", f"{shared / name}.ring", "--status", str(shared / f"{name}.json")]
-            arguments += ["--priority", str(self._priority(name))]
-            if request.spin_ns is not None:
-                arguments += ["--spin-us", f"{request.spin_ns / 1e3:g}"]
+            arguments += ["--priority", str(self._priority(name)), *request.scenario.timing.arguments()]
+            spin = "auto" if request.spin_ns is None else f"{request.spin_ns // 1000}"
+            arguments += ["--spin-us", spin]
             if request.cpu is not None and name == "controller":
                 arguments += ["--cpu", str(request.cpu)]
             self._spawn(name, name, arguments)

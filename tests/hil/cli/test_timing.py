@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,22 @@ def test_without_real_time_rights_it_measures_and_says_how_to_get_them(tmp_path)
     document = json.loads(Path(tmp_path / "t/timing.json").read_text())
     assert document["hil"]["settings"]["sched_fifo"] is False
     assert "loop_spin" not in document["hil"]["conditions"]["idle"]["parts"]
+
+
+@pytest.mark.realtime
+def test_the_nodes_keep_time_as_the_scenario_says(tmp_path):
+    scenario = tmp_path / "slow.toml"
+    shipped = (files("hil.library") / "scenarios/cat_linh_la_thanh.toml").read_text(encoding="utf-8")
+    scenario.write_text(shipped + "\n[timing]\nspin_us = 0\nrehearsal = false\n", encoding="utf-8")
+    done = hil(
+        "--duration", "0.5", "--slices", "1", "--priority", "0", "--scenario", str(scenario), "--json",
+        "--out", str(tmp_path / "t"),
+    )  # fmt: skip
+    assert done.returncode in PASSED_OR_FAILED, done.stderr
+    document = json.loads(done.stdout)
+    assert document["hil"]["settings"]["spin"] == "0"
+    full = document["hil"]["conditions"]["idle"]["parts"]["full"]
+    assert full["spin"]["mode"] == "off"
 
 
 @pytest.mark.parametrize(
