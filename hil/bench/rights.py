@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
+from collections.abc import Iterator
 
 from hil.node import realtime
 
-__all__ = ["fifo_granted", "processor_rights"]
+__all__ = ["fifo_granted", "keeping_time", "processor_rights"]
 
 
 def processor_rights(priority: int = 50) -> tuple[bool, bool, str]:
@@ -40,3 +42,24 @@ def fifo_granted(priority: int) -> bool:
         return False
     os.sched_setscheduler(0, policy, parameters)
     return True
+
+
+@contextlib.contextmanager
+def keeping_time(priority: int) -> Iterator[None]:
+    """Meanwhile this thread asks for SCHED_FIFO at `priority` (0: it does not) and no garbage is collected.
+
+    A collection scans all that lives: with a recording in memory that is 100 ms and more. Never raises.
+    """
+    before = None
+    if priority > 0 and fifo_granted(priority):
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
+        if before is not None:
+            os.sched_setscheduler(0, *before)

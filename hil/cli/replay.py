@@ -1,8 +1,9 @@
-"""`hil replay`: a recorded log against one node. Does this version still answer as the recorded one did?"""
+"""`hil replay`: a recorded log against one node, ours or a device. Does it answer as the recorded one did?"""
 
 from __future__ import annotations
 
 import json
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +13,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from hil.bench.errors import ScenarioError
 from hil.cli.completion import complete_runs
+from hil.cli.run import MAX_PRIORITY, bus_options
 
 if TYPE_CHECKING:
     from hil.bench.replay import Replayed
@@ -28,7 +30,9 @@ def replay(
             autocompletion=complete_runs,
         ),
     ],
-    node: Annotated[str, typer.Option(help="controller or plant_sim.")] = "controller",
+    node: Annotated[
+        str, typer.Option(help="controller or plant_sim; with --live also a node of the DBC.")
+    ] = "controller",
     tolerance: Annotated[
         list[str] | None,
         typer.Option(metavar="MESSAGE.SIGNAL=VALUE", help="In the DBC's unit; * allowed in the name."),
@@ -56,6 +60,31 @@ def replay(
         Path | None, typer.Option(metavar="DIR", help="Write replay.json and replay.png there.")
     ] = None,
     dbc: Annotated[Path | None, typer.Option(help="Another DBC with the bench's messages.")] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="To a device on a bus, in real time, as its restbus.")
+    ] = False,
+    start_node: Annotated[
+        bool, typer.Option("--start-node", help="Live: start our own node as the device.")
+    ] = False,
+    until: Annotated[
+        float | None, typer.Option(metavar="S", help="Live: play only so much [s] of the recording.")
+    ] = None,
+    settle: Annotated[
+        float,
+        typer.Option(metavar="S", help="Live: what deviates so soon after the start does not count [s]."),
+    ] = 1.0,
+    wait: Annotated[
+        float | None, typer.Option(metavar="S", help="Live: wait so long for the device to speak [10 s].")
+    ] = None,
+    priority: Annotated[
+        int, typer.Option(help="Live: SCHED_FIFO priority, 1 to 88; 0: do not ask for it.")
+    ] = 50,
+    interface: Annotated[
+        str | None, typer.Option("-i", "--interface", help="Live: python-can interface.")
+    ] = None,
+    channel: Annotated[str | None, typer.Option("-c", "--channel", help="Live: channel of the bus.")] = None,
+    bitrate: Annotated[int | None, typer.Option("-b", "--bitrate", help="Live: bit rate [bit/s].")] = None,
+    fd: Annotated[bool, typer.Option("--fd", help="Live: open the bus for CAN FD.")] = False,
     show_all: Annotated[bool, typer.Option("--all", help="List what is ignored, too.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document and nothing else.")] = False,
 ) -> int:
@@ -75,11 +104,15 @@ def replay(
 
     [bold]hil replay RUN --tolerance ATO_Command.EffortDemand=1[/bold]
     one percent of effort is no deviation
+
+    [bold]hil replay RUN --live -i socketcan -c can0[/bold]
+    to an ATO of your own on a real bus; --start-node puts ours there
     """
     # Only now: help and bad input do not wait for compilers and readers.
-    from hil.bench.replay import ReplayRequest
+    from hil.bench.replay import LiveOptions, ReplayRequest, replay_live
     from hil.bench.replay import replay as play
     from hil.bench.replay.document import document
+    from hil.bench.run import counted_interrupts
 
     request = ReplayRequest(
         log=log,
@@ -91,14 +124,40 @@ def replay(
         rules=rules,
         dbc=dbc,
     )
+    options = None
+    if live:
+        _check_live(until, settle, wait, priority)
+        options = LiveOptions(
+            bus=bus_options(None, interface, channel, bitrate, fd, []),
+            start_node=start_node, until_s=until, settle_s=settle, wait_s=wait, priority=priority,
+        )  # fmt: skip
+        if options.bus.interface == "virtual":
+            raise ScenarioError(
+                "-i virtual: no device can be on a bus inside this process; use -i hil or socketcan"
+            )
+    else:
+        _only_live(start_node, until, wait, interface, channel, bitrate, fd)
     progress = Progress(
         TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn(),
         console=Console(stderr=True), transient=True,
+        # Drawing takes milliseconds, which a restbus in real time has to wait for.
+        refresh_per_second=1 if live else 10,
     )  # fmt: skip
     progress.disable = not progress.console.is_terminal
     with progress:
         task = progress.add_task(f"replaying {log.name} to {node}", total=1.0)
-        result = play(request, show=lambda share: progress.update(task, completed=share))
+
+        def show(share: float) -> None:
+            progress.update(task, completed=share)
+
+        if options is None:
+            result = play(request, show=show)
+        else:
+            with counted_interrupts() as interrupted:
+                result = replay_live(
+                    request, options, show=show, interrupted=interrupted,
+                    tell=lambda line: progress.console.print(line, highlight=False),
+                )  # fmt: skip
     told = document(result)
     written = _write(result, told, out) if out is not None else []
     if as_json:
@@ -110,6 +169,43 @@ def replay(
         for path in written:
             typer.echo(f"written: {path}")
     return EXIT_MATCH if result.comparison.matches else EXIT_DEVIATES
+
+
+def _check_live(until: float | None, settle: float, wait: float | None, priority: int) -> None:
+    for name, value, least in (("until", until, 0.0), ("settle", settle, None), ("wait", wait, 0.0)):
+        if value is None:
+            continue
+        limit = "0 or more" if least is None else "above 0"
+        if not (isfinite(value) and (value >= 0.0 if least is None else value > least)):
+            raise ScenarioError(f"--{name} {value:g}: must be a number of seconds, {limit}")
+    if not 0 <= priority <= MAX_PRIORITY:
+        raise ScenarioError(f"--priority {priority}: must be 0 to {MAX_PRIORITY}")
+
+
+def _only_live(
+    start_node: bool,
+    until: float | None,
+    wait: float | None,
+    interface: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    fd: bool,
+) -> None:
+    """Raises ScenarioError for an option that would be obeyed in silence."""
+    given = {
+        "--start-node": start_node,
+        "--until": until is not None,
+        "--wait": wait is not None,
+        "-i": interface is not None,
+        "-c": channel is not None,
+        "-b": bitrate is not None,
+        "--fd": fd,
+    }
+    for name, is_given in given.items():
+        if is_given:
+            raise ScenarioError(
+                f"{name}: only with --live; without it the node runs in this process, with no bus"
+            )
 
 
 def _write(result: Replayed, told: dict[str, Any], out: Path) -> list[Path]:

@@ -14,15 +14,8 @@ MOST_TIMES = 3
 
 def print_result(console: Console, result: Replayed, *, show_all: bool = False) -> None:
     """Print the result; fits 80 columns."""
-    mode = "lockstep" if result.lockstep else "real time"
-    speed = result.duration_s / result.wall_s if result.wall_s > 0 else 0.0
     console.print(f"[bold]{result.node}[/bold] against {result.place.log}", highlight=False, soft_wrap=True)
-    console.print(
-        f"{result.scenario.name}, {result.scenario.law}, {mode}: {result.cycles} cycles"
-        f" ({result.instants}), {result.restbus_frames} frames of the restbus, {speed:.0f}x real time",
-        highlight=False,
-        style="dim",
-    )
+    console.print(_how(result), highlight=False, style="dim")
     console.print(_table(result, show_all=show_all))
     for message in result.comparison.messages:
         if not message.ignored:
@@ -44,6 +37,26 @@ def print_result(console: Console, result: Replayed, *, show_all: bool = False) 
             f"\n[bold red]deviates[/]: {count} signal{'s' if count != 1 else ''} beyond the tolerance",
             highlight=False,
         )
+
+
+def _how(result: Replayed) -> str:
+    of = result.title if result.scenario is None else f"{result.title}, {result.scenario.law}"
+    frames = f"{result.restbus_frames} frames of the restbus"
+    live = result.live
+    if live is None:
+        mode = "lockstep" if result.lockstep else "real time"
+        speed = result.duration_s / result.wall_s if result.wall_s > 0 else 0.0
+        return f"{of}, {mode}: {result.cycles} cycles ({result.instants}), {frames}, {speed:.0f}x real time"
+    text = (
+        f"{of}, live on {live.bus}: {result.duration_s:.1f} s, {result.cycles} cycles of the device;"
+        f" {frames}, sent {live.late_p50_us:.0f} us after they were due (p99 {live.late_p99_us:.0f},"
+        f" max {live.late_max_us:.0f}); the first {live.settle_s:g} s do not count"
+    )
+    if live.dropped:
+        text += f"; {live.dropped} frames of the device were lost on the way here"
+    if live.stopped:
+        text += "; ended early"
+    return text
 
 
 def _table(result: Replayed, *, show_all: bool) -> Table:
@@ -97,6 +110,4 @@ def _frames(console: Console, message: MessageResult) -> None:
                 highlight=False,
             )
     if message.wrong_length:
-        console.print(
-            f"{message.name}: {message.wrong_length} recorded frames of another length", style="red"
-        )
+        console.print(f"{message.name}: {message.wrong_length} frames of another length", style="red")

@@ -33,6 +33,7 @@ one CPU, and its system calls are dear. What was missed is reported."""
 
 
 COMMAND_ID = Contract.load().message("ATO_Command").can_id
+LIVE_S = 12.0
 VOID_STALL_MS = 50.0
 """A machine that stands still for longer than the plant waits for a command interrupts the drive itself."""
 
@@ -207,3 +208,27 @@ def test_wakeup_latency_is_reported(drive, process, record_property):
     assert timing["cycles"] > 8_000
     assert 0 < latency["p50"] < 5_000
     assert latency["p50"] <= latency["p99"] <= latency["max"]
+
+
+def test_the_recording_is_a_restbus_for_a_controller_on_the_bus(drive, record_property):
+    """`hil replay --live`: our own node as the device, on vcan. A guest may stall it: shares."""
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "replay", drive.attempts[-1].folder / "run", "--live", "--start-node",
+         "--until", str(LIVE_S), "-i", "socketcan", "-c", "vcan0", "--json"],
+        capture_output=True, text=True, timeout=200,
+    )  # fmt: skip
+    assert done.returncode in (0, 1), done.stderr
+    told = json.loads(done.stdout)
+    live = told["live"]
+    record_property(
+        "figure: live replay",
+        f"{told['restbus_frames']} frames of the restbus, late p50 {live['late_p50_us']:.0f} "
+        f"p99 {live['late_p99_us']:.0f} max {live['late_max_us']:.0f} us",
+    )
+    assert live["dropped"] == 0
+    assert not live["stopped"]
+    assert told["duration_s"] == pytest.approx(LIVE_S, abs=0.5)
+    (command,) = (message for message in told["messages"] if message["name"] == "ATO_Command")
+    assert command["replayed"] == pytest.approx(100 * (LIVE_S - 1.0), rel=0.2)  # the first second: --settle
+    (effort,) = (one for one in command["signals"] if one["name"] == "EffortDemand")
+    assert effort["frames"] > 0.7 * command["recorded"]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from hil.bench.replay.comparison import Comparison, FirstDeviation, MessageResult, SignalResult
-from hil.bench.replay.job import Replayed, ReplayRequest, replay
+from hil.bench.replay.job import LiveFigures, Replayed, ReplayRequest, replay
+from hil.bench.replay.live_job import LiveOptions, replay_live
 from hil.bench.replay.recorded import ReplayError
 from hil.bench.replay.rules import Rules, load_rules
 
 __all__ = [
     "Comparison",
     "FirstDeviation",
+    "LiveFigures",
+    "LiveOptions",
     "MessageResult",
     "ReplayError",
     "ReplayRequest",
@@ -18,4 +21,5 @@ __all__ = [
     "SignalResult",
     "load_rules",
     "replay",
+    "replay_live",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from hil.node.inbox import bus_identifier
 __all__ = ["Comparison", "FirstDeviation", "MessageResult", "SignalResult", "compare"]
 
 NS_PER_S = 1e9
+LEFT_OUT_CYCLES, BETWEEN_CYCLES = 1.6, 0.4
+"""A pause so long is a frame left out, two frames so close are one too many; what is between is jitter."""
+
 Array = NDArray[np.float64]
 
 
@@ -74,7 +77,8 @@ class SignalResult:
 class MessageResult:
     """Frames of one message: recorded, replayed, and those without a partner, with their times [s].
 
-    `wrong_length`: recorded frames whose length is not the DBC's; they are not compared.
+    Counted are the frames within the span that is judged. `wrong_length`: those, of both sides, whose length
+    is not the DBC's; they are not compared.
     """
 
     name: str
@@ -138,7 +142,7 @@ class Comparison:
                     words = f"recorded {before}, replayed {after}"
                     found.append(FirstDeviation(signal.first.time_s, signal.name, words))
             if message.wrong_length:
-                words = f"{message.wrong_length} recorded frames have another length than the DBC says"
+                words = f"{message.wrong_length} frames have another length than the DBC says"
                 found.append(FirstDeviation(0.0, message.name, words))
         return min(found, key=lambda deviation: deviation.time_s, default=None)
 
@@ -161,11 +165,14 @@ def compare(
     *,
     event_window_ns: int = 0,
     neighbours: int = 0,
+    span_ns: tuple[int, int] | None = None,
 ) -> Comparison:
     """Compare what a node said with what was recorded; times of both count from the same moment.
 
     A cyclic message is paired within half of its cycle time, one without a cycle within `event_window_ns`.
     `neighbours`: a value may also be the recorded one so many frames sooner or later, or lie between.
+    `span_ns`: only frames recorded from then until then are judged, and the node has a clock of its own: a
+    cyclic frame without a partner counts only if the node left one out, or sent one between two.
     """
     by_id: dict[int, tuple[list[Said], list[Said]]] = {}
     for which, frames in enumerate((recorded, replayed)):
@@ -174,22 +181,33 @@ def compare(
     results = []
     for codec in sorted(codecs, key=lambda codec: codec.can_id):
         before, after = by_id.get(bus_identifier(codec), ([], []))
-        whole = [said for said in before if len(said.data) == codec.length]
+        fitting = tuple([said for said in side if len(said.data) == codec.length] for side in (before, after))
         window_ns = event_window_ns if codec.cycle_ns is None else codec.cycle_ns // 2 - 1
-        pairs, missing, additional = _pair(whole, after, window_ns)
+        pairs, missing, additional = _pair(fitting[0], fitting[1], window_ns)
+        if span_ns is not None:
+            pairs = [pair for pair in pairs if _lies_in(span_ns, pair[0].time_ns)]
+            missing, additional = _within(span_ns, missing, additional, fitting[1], window_ns, codec.cycle_ns)
+        counted, whole = (
+            [sum(_lies_in(span_ns, said.time_ns) for said in side) for side in sides]
+            for sides in ((before, after), fitting)
+        )
         results.append(
             MessageResult(
                 name=codec.name,
                 ignored=rules.ignores_message(codec),
-                recorded=len(before),
-                replayed=len(after),
+                recorded=counted[0],
+                replayed=counted[1],
                 missing_s=tuple(said.time_ns / NS_PER_S for said in missing),
                 additional_s=tuple(said.time_ns / NS_PER_S for said in additional),
-                wrong_length=len(before) - len(whole),
+                wrong_length=sum(counted) - sum(whole),
                 signals=_signals(codec, pairs, rules, neighbours),
             )
         )
     return Comparison(tuple(results))
+
+
+def _lies_in(span_ns: tuple[int, int] | None, time_ns: int) -> bool:
+    return span_ns is None or span_ns[0] <= time_ns <= span_ns[1]
 
 
 def _pair(
@@ -210,6 +228,43 @@ def _pair(
             additional.append(replayed[j])
             j += 1
     return pairs, [*missing, *recorded[i:]], [*additional, *replayed[j:]]
+
+
+def _within(
+    span_ns: tuple[int, int],
+    missing: list[Said],
+    additional: list[Said],
+    replayed: Sequence[Said],
+    window_ns: int,
+    cycle_ns: int | None,
+) -> tuple[list[Said], list[Said]]:
+    """The frames without a partner that count: well inside the span, whose edges may have cut their partners
+    off, and not just the slip of one clock against the other.
+    """
+    first, last = span_ns[0] + window_ns, span_ns[1] - window_ns
+    times = np.array([said.time_ns for said in replayed], dtype=np.int64)
+
+    def around(time_ns: int, side: Literal["left", "right"]) -> tuple[float, float]:
+        """How long before and after a moment the node spoke (inf: never)."""
+        before, after = (
+            int(np.searchsorted(times, time_ns)) - 1,
+            int(np.searchsorted(times, time_ns, side=side)),
+        )
+        return (
+            float(time_ns - times[before]) if before >= 0 else np.inf,
+            float(times[after] - time_ns) if after < len(times) else np.inf,
+        )
+
+    def left_out(said: Said) -> bool:
+        return cycle_ns is None or sum(around(said.time_ns, "left")) > LEFT_OUT_CYCLES * cycle_ns
+
+    def between(said: Said) -> bool:
+        return cycle_ns is None or min(around(said.time_ns, "right")) < BETWEEN_CYCLES * cycle_ns
+
+    return (
+        [said for said in missing if first <= said.time_ns <= last and left_out(said)],
+        [said for said in additional if first <= said.time_ns <= last and between(said)],
+    )
 
 
 def _signals(

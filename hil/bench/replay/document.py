@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from hil.bench.replay.comparison import MessageResult, Sample, SignalResult
@@ -21,9 +22,9 @@ def document(replayed: Replayed) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "log": str(replayed.place.log),
-        "scenario": replayed.scenario.name,
+        "scenario": None if replayed.scenario is None else replayed.scenario.name,
         "node": replayed.node,
-        "mode": "lockstep" if replayed.lockstep else "real-time",
+        "mode": replayed.mode,
         "cycle_instants": replayed.instants,
         "verdict": "match" if comparison.matches else "deviates",
         "first_deviation": None
@@ -34,6 +35,7 @@ def document(replayed: Replayed) -> dict[str, Any]:
         "wall_time_s": replayed.wall_s,
         "restbus_frames": replayed.restbus_frames,
         "left_out_frames": replayed.left_out,
+        "live": None if replayed.live is None else asdict(replayed.live),
         "rules": {
             "ignore": list(rules.ignore),
             "tolerance": dict(rules.tolerance),

@@ -25,7 +25,7 @@ from hil.node.lockstep import LockstepError
 from hil.node.process import build_node, receive_ids
 from hil.node.unit import Unit, every_cycle
 
-__all__ = ["REPLAYABLE", "ReplayRequest", "Replayed", "replay"]
+__all__ = ["REPLAYABLE", "LiveFigures", "ReplayRequest", "Replayed", "Show", "replay"]
 
 REPLAYABLE = ("controller", "plant_sim")
 CYCLES_BETWEEN_LOOKS = 200
@@ -52,11 +52,28 @@ class ReplayRequest:
 
 
 @dataclass(frozen=True)
+class LiveFigures:
+    """A replay to a device on a bus: how late the restbus was [us], what does not count [s], frames the bus
+    lost, and whether the user ended it early.
+    """
+
+    bus: str
+    late_p50_us: float
+    late_p99_us: float
+    late_max_us: float
+    settle_s: float
+    dropped: int
+    stopped: bool
+
+
+@dataclass(frozen=True)
 class Replayed:
-    """How it went. `instants` says where the times of the cycles are from."""
+    """How it went. `scenario`: None for a device that was played to from a log alone. `instants` says where
+    the times of the cycles are from.
+    """
 
     place: Place
-    scenario: Scenario
+    scenario: Scenario | None
     node: str
     lockstep: bool
     instants: str
@@ -67,6 +84,17 @@ class Replayed:
     left_out: int
     rules: Rules
     comparison: Comparison
+    live: LiveFigures | None = None
+
+    @property
+    def mode(self) -> str:
+        """How the recording was put to the node: `live` (a device on a bus), `lockstep` or `real-time`."""
+        return "live" if self.live is not None else "lockstep" if self.lockstep else "real-time"
+
+    @property
+    def title(self) -> str:
+        """What it is a run of, in words."""
+        return self.place.log.name if self.scenario is None else self.scenario.name
 
 
 def replay(request: ReplayRequest, *, show: Show = lambda share: None) -> Replayed:

@@ -42,10 +42,8 @@ def draw_picture(replayed: Replayed, folder: Path) -> Path | None:
         _difference(panels[2 * number + 1], signal)
     panels[0].legend(loc="upper right", fontsize=8.5, frameon=False, ncols=2)
     panels[-1].set_xlabel("time since the start of the log [s]", fontsize=9)
-    figure.suptitle(
-        f"{replayed.node} replayed: {replayed.scenario.name}, {len(worst)} signals that deviate most",
-        fontsize=11,
-    )
+    what = "the signal that deviates" if len(worst) == 1 else f"{len(worst)} signals that deviate most"
+    figure.suptitle(f"{replayed.node} replayed: {replayed.title}, {what}", fontsize=11)
     path = folder / PICTURE_FILE
     figure.savefig(path)
     return path

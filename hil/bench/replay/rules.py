@@ -20,6 +20,7 @@ from hil.canbus.signals import SignalSpec
 __all__ = [
     "HALF_A_STEP",
     "IGNORED",
+    "LIVE_STEPS",
     "REAL_TIME_STEPS",
     "STAMPS_ONLY_STEPS",
     "Rules",
@@ -30,9 +31,10 @@ __all__ = [
 IGNORED = ("*_Timing",)
 """Ignored by default, besides E2E counters and CRC: what a node measured of its own time."""
 
-HALF_A_STEP, REAL_TIME_STEPS, STAMPS_ONLY_STEPS = 0.5, 5.5, 20.5
+HALF_A_STEP, REAL_TIME_STEPS, STAMPS_ONLY_STEPS, LIVE_STEPS = 0.5, 5.5, 20.5, 20.5
 """Default tolerances in steps of the signal: in lockstep; in real time, where the cycles are known from the
-timing ring; and where they are known from the stamps of frames only. docs/replay.md says what was measured.
+timing ring; where they are known from the stamps of frames only; and live, where they are the device's own.
+docs/replay.md says what was measured.
 """
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
