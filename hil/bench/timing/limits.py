@@ -11,7 +11,7 @@ from pydantic import Field
 
 import hil.library
 from hil.bench.timing.request import FULL, FULL_ALONE, LOOP_PLAIN, LOOP_SPIN, PEER
-from hil.bench.timing.samples import Measured, Spread, ratio, spread
+from hil.bench.timing.samples import Measured, Spread, median_of_slices, ratio, spread
 from hil.railway.files import FileModel, read_toml, validate
 
 __all__ = ["DEFAULT_LIMITS", "Judged", "TimingLimits", "judge", "load_limits"]
@@ -49,7 +49,8 @@ class MissLimits(FileModel):
 
 
 class RecorderLimits(FileModel):
-    """`[recorder]`: p99 of the wake-up latency with the recorder may be `p99_ratio` times that without it.
+    """`[recorder]`: p99 of the wake-up latency in the median slice with the recorder may be `p99_ratio` times
+    that without it.
 
     Below `allowance_us` more it passes in any case: of single microseconds ten per cent mean nothing.
     """
@@ -165,17 +166,20 @@ def _deadlines(limits: MissLimits, known: Measured, condition: str) -> Iterator[
 def _recorder(limits: RecorderLimits, parts: Mapping[str, Measured], condition: str) -> Iterator[Judged]:
     if limits.p99_ratio is None or FULL_ALONE not in parts:
         return
-    with_it, without = (spread(parts[part].wakeup_latency_us) for part in (FULL, FULL_ALONE))
-    value = ratio(with_it, without, "p99")
+    whole = [spread(parts[part].wakeup_latency_us) for part in (FULL, FULL_ALONE)]
+    with_it, without = (
+        median_of_slices(parts[part], "wakeup_latency_us", "p99") for part in (FULL, FULL_ALONE)
+    )
+    value = with_it / without if with_it is not None and without else None
     row = _row(
-        "wake-up p99, recorder on / off",
+        "wake-up p99 of the median slice, recorder on / off",
         condition,
         value,
         limits.p99_ratio,
         "",
-        _too_few("p99", with_it, without),
+        _too_few("p99", *whole),
     )
-    within = with_it and without and with_it.p99 <= without.p99 + limits.allowance_us
+    within = with_it is not None and without is not None and with_it <= without + limits.allowance_us
     if row.passed is False and within:
         row = Judged(
             row.name, condition, value, row.limit, "", True, f"less than {limits.allowance_us:g} us more"

@@ -114,6 +114,16 @@ class Measured:
         return bool(self.slices) and all(bool(piece.rights.get("sched_fifo")) for piece in self.slices)
 
 
+def median_of_slices(known: Measured, quantity: str, percentile: str) -> float | None:
+    """A percentile of one quantity in each slice, and of those the median, us; None without a cycle.
+
+    For parts of one run that are to be compared when neither costs more: what a hypervisor does once a minute
+    falls into slices of one part or the other by chance, and would decide over the percentile of them all.
+    """
+    each = [getattr(one, percentile) for piece in known.slices if (one := spread(getattr(piece, quantity)))]
+    return float(np.median(each)) if each else None
+
+
 def merged(slices: Mapping[tuple[str, str], Sequence[Slice]]) -> dict[tuple[str, str], Measured]:
     """(condition, part) -> slices, as (condition, part) -> all of them as one."""
     return {key: Measured(key[1], key[0], pieces) for key, pieces in slices.items() if pieces}

@@ -9,7 +9,8 @@ import pytest
 
 from hil.bench.timing.limits import TimingLimits, judge, load_limits, verdict
 from hil.bench.timing.misses import Miss
-from hil.bench.timing.samples import Slice
+from hil.bench.timing.request import FULL, FULL_ALONE
+from hil.bench.timing.samples import Slice, merged
 from hil.railway.errors import RailwayDataError
 
 ENOUGH = 4000
@@ -113,3 +114,15 @@ def test_the_recorder_may_cost_a_share_or_less_than_an_allowance(make_measured, 
     )
     (row,) = judge(limits(recorder={"p99_ratio": 1.1, "allowance_us": 2.0}), parts)
     assert row.passed is passed
+
+
+def test_one_bad_slice_is_not_put_down_to_the_recorder():
+    good, bad = np.full(ENOUGH, 1.0), np.full(ENOUGH, 30.0)
+    slices = {part: [full(wakeup_latency_us=good)] * 5 for part in (FULL, FULL_ALONE)}
+    slices[FULL] = [*slices[FULL][:4], full(wakeup_latency_us=bad)]
+    asked = limits(recorder={"p99_ratio": 1.1, "allowance_us": 2.0})
+    (row,) = judge(asked, merged({("idle", part): pieces for part, pieces in slices.items()}))
+    assert (row.value, row.passed) == (1.0, True)
+    slices[FULL] = [full(wakeup_latency_us=bad)] * 3 + [full(wakeup_latency_us=good)] * 2
+    (row,) = judge(asked, merged({("idle", part): pieces for part, pieces in slices.items()}))
+    assert (row.value, row.passed) == (30.0, False)
