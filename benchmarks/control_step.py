@@ -1,8 +1,8 @@
 """The control step over the local bus, split, beside a loop in plain python-can and cantools on the same bus.
 
-Both are driven by the shipped plant at 100 Hz, in slices that alternate. The peer does less: it decodes,
-checks, encodes and sends the same frames, but has no supervision, no plan and a proportional law. And it has
-no rehearsal: its caches are cold when it wakes.
+Both are driven by the shipped plant at 100 Hz, in slices that alternate, with a CPU of their own as in
+`hil run`. The peer does less: it decodes, checks, encodes and sends the same frames, but has no supervision,
+no plan and a proportional law. And it has no rehearsal: its caches are cold when it wakes.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rows import Row
+from hil.bench.placement import place
 from hil.node import TimingReader
 from hil.node.split import SPLIT
 from hil.railway.library import find_scenario
@@ -59,6 +60,7 @@ def measure() -> list[Row]:
 def _slice(command: str) -> NDArray[np.void]:
     """Records of one slice: hub, plant and the process that answers it."""
     channel = f"step-{os.getpid()}"
+    placement = place("auto", PRIORITY)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         hub = _start(stack, "hil.canbus.local", "--channel", channel, "--priority", str(PRIORITY + 10))
@@ -69,11 +71,14 @@ def _slice(command: str) -> NDArray[np.void]:
             process = _start(
                 stack, module, "--scenario", str(find_scenario(SCENARIO)), "-i", "hil", "-c", channel,
                 "--ring", str(ring), "--status", str(status), "--priority", str(priority),
+                *placement.arguments("controller" if module == command else module),
             )  # fmt: skip
             while not status.exists():
                 if process.poll() is not None:
                     raise RuntimeError(f"{module} ended before it was ready, exit code {process.returncode}")
                 time.sleep(0.02)
+            if module != command:
+                placement.keep_off([hub.pid, process.pid])
         time.sleep(SLICE_S)
         process.terminate()
         process.wait()
@@ -138,7 +143,7 @@ def _peer() -> int:
         TimingRing(options.ring or "", name="peer", period_ns=PERIOD_NS) as ring,
     ):
         ring.touch()
-        realtime.request(options.priority, None)
+        realtime.request(options.priority, options.cpu)
         clock = RealTimeClock(PERIOD_NS, PHASE_NS, SPIN_NS)
         now = time.monotonic_ns
         (options.status or Path("status.json")).write_text("{}")
