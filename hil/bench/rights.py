@@ -48,7 +48,8 @@ def fifo_granted(priority: int) -> bool:
 def keeping_time(priority: int) -> Iterator[None]:
     """Meanwhile this thread asks for SCHED_FIFO at `priority` (0: it does not) and no garbage is collected.
 
-    A collection scans all that lives: with a recording in memory that is 100 ms and more. Never raises.
+    A collection scans all that lives: with 90 s of a recording in memory that took 76 to 112 ms.
+    Never raises.
     """
     before = None
     if priority > 0 and fifo_granted(priority):
