@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from hil.canbus.frame import Frame
 from hil.node.inbox import NO_TIMING
+from hil.node.nanosleep import sleeper
 from hil.node.spin import SpinChoice, choose_spin
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ class RealTimeClock:
     microsecond instead of tens, for spin/period of one core. `spin` says how long before; without it it is
     `spin_ns`, fixed, and 0 is a plain absolute sleep. With a `rehearsal` the sleep ends sooner by its
     lead: what waits on the transport is taken then, and the rehearsal run, if there is time for it.
+    `sleep_until` sleeps until a moment of `monotonic` and returns its time then (None: the system's).
     """
 
     kind = "realtime"
@@ -131,7 +133,7 @@ class RealTimeClock:
         phase_ns: int,
         spin_ns: int = 200_000,
         monotonic: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], None] = time.sleep,
+        sleep_until: Callable[[int], int] | None = None,
         *,
         transport: FrameLink | None = None,
         realtime: Callable[[], int] = time.time_ns,
@@ -151,7 +153,7 @@ class RealTimeClock:
         self.realtime_steps = 0
         self._monotonic = monotonic
         self._realtime = realtime
-        self._sleep = sleep
+        self._sleep_until = sleep_until or sleeper()
         self._transport = transport
         self._deadline = 0
         self._skipped = 0
@@ -171,8 +173,7 @@ class RealTimeClock:
             sleep_until -= rehearsal.lead.now_ns
         slept = now < sleep_until
         while now < sleep_until:
-            self._sleep((sleep_until - now) * 1e-9)
-            now = monotonic()
+            now = self._sleep_until(sleep_until)
         if rehearsal is not None:
             if deadline - now >= rehearsal.lead.now_ns:
                 self._rehearse(rehearsal)

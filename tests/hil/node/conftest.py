@@ -20,7 +20,7 @@ class FakeTime:
     def __init__(self, now_ns: int = 1_000_000_123, step_ns: int = 100) -> None:
         self.now_ns = now_ns
         self.step_ns = step_ns
-        self.sleeps: list[float] = []
+        self.sleeps: list[int] = []
         self.oversleep_ns = 0
         self.realtime_offset_ns = 1_700_000_000_000_000_000
 
@@ -31,9 +31,10 @@ class FakeTime:
     def realtime(self) -> int:
         return self.now_ns + self.realtime_offset_ns
 
-    def sleep(self, seconds: float) -> None:
-        self.sleeps.append(seconds)
-        self.now_ns += round(seconds * 1e9) + self.oversleep_ns
+    def sleep_until(self, at_ns: int) -> int:
+        self.sleeps.append(at_ns)
+        self.now_ns = max(self.now_ns, at_ns) + self.oversleep_ns
+        return self.monotonic()
 
 
 class FakeTransport:

@@ -21,7 +21,12 @@ periods = st.integers(1, 10**10)
 def clock_at(time, **options):
     options = {"spin_ns": 200_000, **options}
     return RealTimeClock(
-        PERIOD, PHASE, monotonic=time.monotonic, sleep=time.sleep, realtime=time.realtime, **options
+        PERIOD,
+        PHASE,
+        monotonic=time.monotonic,
+        sleep_until=time.sleep_until,
+        realtime=time.realtime,
+        **options,
     )
 
 
@@ -92,8 +97,8 @@ def test_without_spin_the_sleep_ends_on_the_deadline(fakes):
 
 def test_sleep_that_ends_early_is_continued(fakes):
     time = fakes.Time()
-    sleep = time.sleep
-    time.sleep = lambda seconds: sleep(seconds * 0.6)
+    sleep_until = time.sleep_until
+    time.sleep_until = lambda at_ns: sleep_until(time.now_ns + (at_ns - time.now_ns) * 6 // 10)
     start = clock_at(time).wait()
     assert len(time.sleeps) > 1
     assert start.woke_ns >= start.scheduled_ns

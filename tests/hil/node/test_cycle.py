@@ -23,7 +23,7 @@ def bench(contract, fakes, tmp_path):
             self.transport = fakes.Transport()
             self.unit = fakes.Unit()
             clock = RealTimeClock(
-                PERIOD, 700_000, monotonic=self.time.monotonic, sleep=self.time.sleep,
+                PERIOD, 700_000, monotonic=self.time.monotonic, sleep_until=self.time.sleep_until,
                 realtime=self.time.realtime, transport=self.transport,
             )  # fmt: skip
             ring = TimingRing(

@@ -25,7 +25,7 @@ def bench(contract, fakes):
             self.twin.on_step = self._pass
             self.rehearsal = Rehearsal(self.twin, contract, monotonic=self.time.monotonic) if twin else None
             self.clock = RealTimeClock(
-                PERIOD, 700_000, monotonic=self.time.monotonic, sleep=self.time.sleep,
+                PERIOD, 700_000, monotonic=self.time.monotonic, sleep_until=self.time.sleep_until,
                 realtime=self.time.realtime, transport=self.transport, rehearsal=self.rehearsal,
                 spin=SpinChoice("auto", "test", margin_ns, longest_ns or margin_ns),
             )  # fmt: skip
