@@ -136,9 +136,7 @@ class _ProcessRun:
         return bus
 
     def _start_hub(self, bus: BusOptions) -> None:
-        arguments = ["--channel", bus.channel, "--parent-pipe", *hub_arguments(bus)]
-        if self._priority("hub"):
-            arguments += ["--priority", str(self._priority("hub"))]
+        arguments = hub_arguments(bus, self._priority("hub"))
         hub = Child("hub", "hil.canbus.local", arguments, logs=self._options.out / "logs")
         self._children["hub"] = hub
         try:

@@ -25,14 +25,14 @@ def timed_bus(options: RunOptions) -> BusOptions:
     )
 
 
-def hub_arguments(bus: BusOptions) -> list[str]:
-    """What a hub has to be started with so that this bus can be opened."""
-    if bus.bitrate is None:
-        return []
-    arguments = ["--bitrate", str(bus.bitrate)]
-    if "data_bitrate" in bus.extra:
-        arguments += ["--data-bitrate", str(bus.extra["data_bitrate"])]
-    return arguments
+def hub_arguments(bus: BusOptions, priority: int) -> list[str]:
+    """What a child hub is started with so that this bus can be opened; SCHED_FIFO `priority` 0: none."""
+    arguments = ["--channel", bus.channel, "--parent-pipe"]
+    if bus.bitrate is not None:
+        arguments += ["--bitrate", str(bus.bitrate)]
+        if "data_bitrate" in bus.extra:
+            arguments += ["--data-bitrate", str(bus.extra["data_bitrate"])]
+    return [*arguments, "--priority", str(priority)] if priority else arguments
 
 
 def wire_counters(bus: BusOptions) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from hil.bench.errors import ScenarioError
 from hil.cli.completion import complete_runs
-from hil.cli.run import MAX_PRIORITY, bus_options
+from hil.cli.run import bus_options, check_priority
 
 if TYPE_CHECKING:
     from hil.bench.replay import Replayed
@@ -172,14 +172,12 @@ def replay(
 
 
 def _check_live(until: float | None, settle: float, wait: float | None, priority: int) -> None:
-    for name, value, least in (("until", until, 0.0), ("settle", settle, None), ("wait", wait, 0.0)):
-        if value is None:
-            continue
-        limit = "0 or more" if least is None else "above 0"
-        if not (isfinite(value) and (value >= 0.0 if least is None else value > least)):
-            raise ScenarioError(f"--{name} {value:g}: must be a number of seconds, {limit}")
-    if not 0 <= priority <= MAX_PRIORITY:
-        raise ScenarioError(f"--priority {priority}: must be 0 to {MAX_PRIORITY}")
+    if not (isfinite(settle) and settle >= 0.0):
+        raise ScenarioError(f"--settle {settle:g}: must be a number of seconds, 0 or more")
+    for name, value in (("until", until), ("wait", wait)):
+        if value is not None and not (isfinite(value) and value > 0.0):
+            raise ScenarioError(f"--{name} {value:g}: must be a number of seconds, above 0")
+    check_priority(priority)
 
 
 def _only_live(

@@ -80,8 +80,7 @@ def run(
 
     [bold]hil run --web[/bold]                             watch it in a browser while it drives
     """
-    if not 0 <= priority <= MAX_PRIORITY:
-        raise ScenarioError(f"--priority {priority}: must be 0 to {MAX_PRIORITY}")
+    check_priority(priority)
     console = Console(stderr=as_json)
     if show_live and not web and display_missing():
         console.print(
@@ -144,6 +143,12 @@ def _tell(console: Console, summary: dict[str, Any], directory: Path, *, as_json
     if summary["ended"] == "died":
         typer.echo(f"hil run: {summary['ended_because']}", err=True)
     _write_html(console, directory)
+
+
+def check_priority(priority: int) -> None:
+    """Raises ScenarioError for a SCHED_FIFO priority with which the hub could not be above the controller."""
+    if not 0 <= priority <= MAX_PRIORITY:
+        raise ScenarioError(f"--priority {priority}: must be 0 to {MAX_PRIORITY}")
 
 
 def bus_options(

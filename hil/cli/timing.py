@@ -27,7 +27,7 @@ from hil.bench.timing.request import (
     check,
     default_slices,
 )
-from hil.cli.run import DEFAULT_SCENARIO, MAX_PRIORITY, bus_options
+from hil.cli.run import DEFAULT_SCENARIO, bus_options, check_priority
 
 if TYPE_CHECKING:
     from hil.bench.timing.campaign import Campaign
@@ -79,8 +79,7 @@ def timing(
     [bold]hil timing --witness --duration 600 --period 0.001[/bold]   is every miss explained?
     """
     check(period, duration, slices, spin or "auto")
-    if not 0 <= priority <= MAX_PRIORITY:
-        raise ScenarioError(f"--priority {priority}: must be 0 to {MAX_PRIORITY}")
+    check_priority(priority)
     _check_cpu(cpu)
     if witness and load:
         raise ScenarioError("--witness --load: one or the other; start the load yourself to witness it")

@@ -187,19 +187,16 @@ def compare(
         if span_ns is not None:
             pairs = [pair for pair in pairs if _lies_in(span_ns, pair[0].time_ns)]
             missing, additional = _within(span_ns, missing, additional, fitting[1], window_ns, codec.cycle_ns)
-        counted, whole = (
-            [sum(_lies_in(span_ns, said.time_ns) for said in side) for side in sides]
-            for sides in ((before, after), fitting)
-        )
+        counted = [[said for said in side if _lies_in(span_ns, said.time_ns)] for side in (before, after)]
         results.append(
             MessageResult(
                 name=codec.name,
                 ignored=rules.ignores_message(codec),
-                recorded=counted[0],
-                replayed=counted[1],
+                recorded=len(counted[0]),
+                replayed=len(counted[1]),
                 missing_s=tuple(said.time_ns / NS_PER_S for said in missing),
                 additional_s=tuple(said.time_ns / NS_PER_S for said in additional),
-                wrong_length=sum(counted) - sum(whole),
+                wrong_length=sum(len(said.data) != codec.length for side in counted for said in side),
                 signals=_signals(codec, pairs, rules, neighbours),
             )
         )

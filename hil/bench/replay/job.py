@@ -25,9 +25,19 @@ from hil.node.lockstep import LockstepError
 from hil.node.process import build_node, receive_ids
 from hil.node.unit import Unit, every_cycle
 
-__all__ = ["REPLAYABLE", "LiveFigures", "ReplayRequest", "Replayed", "Show", "replay"]
+__all__ = [
+    "REPLAYABLE",
+    "SCENARIO_FILE",
+    "LiveFigures",
+    "ReplayRequest",
+    "Replayed",
+    "Show",
+    "load_unit",
+    "replay",
+]
 
 REPLAYABLE = ("controller", "plant_sim")
+SCENARIO_FILE = "scenario.toml"
 CYCLES_BETWEEN_LOOKS = 200
 NS_PER_S = 1e9
 
@@ -105,14 +115,9 @@ def replay(request: ReplayRequest, *, show: Show = lambda share: None) -> Replay
     if request.node not in REPLAYABLE:
         raise ReplayError(f"--node {request.node}: no such node; there are {', '.join(REPLAYABLE)}")
     place = find_log(request.log)
-    source = request.scenario or (str(place.scenario) if place.scenario is not None else None)
-    if source is None:
-        raise ReplayError(f"{place.log}: no scenario.toml beside it; say with --scenario what it is a run of")
     contract = Contract.load(request.dbc)
     with tempfile.TemporaryDirectory(prefix="hil-") as scratch:
-        scenario = load_scenario(source, request.overrides, scratch=Path(scratch))
-        build = next(e for e in entry_points(group="hil.node.unit") if e.name == request.node).load()
-        unit: Unit = build(Path(scratch) / "scenario.toml", contract)
+        scenario, unit = load_unit(request, place, contract, Path(scratch))
         recorded = read_recorded(place.log, contract, unit.nodes)
         rules = load_rules(request.rules, request.tolerances, request.ignore, contract)
         play = _lockstep if recorded.lockstep else _real_time
@@ -143,6 +148,25 @@ def replay(request: ReplayRequest, *, show: Show = lambda share: None) -> Replay
         rules=rules,
         comparison=comparison,
     )
+
+
+def load_unit(
+    request: ReplayRequest, place: Place, contract: Contract, scratch: Path, otherwise: str = ""
+) -> tuple[Scenario, Unit]:
+    """What the log is a run of, and its unit as it is today; the scenario lies in `scratch` afterwards.
+
+    Raises ReplayError where nobody says what it is a run of (`otherwise`: what else can be done then), and
+    the errors of a scenario.
+    """
+    source = request.scenario or (str(place.scenario) if place.scenario is not None else None)
+    if source is None:
+        raise ReplayError(
+            f"{place.log}: no scenario.toml beside it; say with --scenario what it is a run of{otherwise}"
+        )
+    scenario = load_scenario(source, request.overrides, scratch=scratch)
+    build = next(e for e in entry_points(group="hil.node.unit") if e.name == request.node).load()
+    unit: Unit = build(scratch / SCENARIO_FILE, contract)
+    return scenario, unit
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,13 +17,21 @@ from hil.bench.errors import Aborted, BenchError
 from hil.bench.outcome import Interrupted
 from hil.bench.processes import NODE_PRIORITY_OFFSET
 from hil.bench.replay.comparison import compare
-from hil.bench.replay.job import REPLAYABLE, LiveFigures, Replayed, ReplayRequest, Show
+from hil.bench.replay.job import (
+    REPLAYABLE,
+    SCENARIO_FILE,
+    LiveFigures,
+    Replayed,
+    ReplayRequest,
+    Show,
+    load_unit,
+)
 from hil.bench.replay.live import Due, Live, Silent, play_live
 from hil.bench.replay.recorded import Place, Recorded, ReplayError, find_log, read_recorded
 from hil.bench.replay.restbus import Said
 from hil.bench.replay.rules import LIVE_STEPS, load_rules
 from hil.bench.rights import keeping_time
-from hil.bench.scenario import Scenario, load_scenario
+from hil.bench.scenario import Scenario
 from hil.bench.shared import BusClaim
 from hil.bench.wire import hub_arguments
 from hil.canbus.codec import MessageCodec
@@ -34,7 +41,6 @@ from hil.canbus.options import LOCAL_INTERFACE, BusOptions
 from hil.canbus.transport import Transport
 from hil.node.inbox import bus_identifier
 from hil.node.start_limit import start_limit_s
-from hil.node.unit import Unit
 
 __all__ = ["LiveOptions", "replay_live"]
 
@@ -156,17 +162,8 @@ def _device(
         if options.start_node:
             raise ReplayError(f"--start-node: only {' and '.join(REPLAYABLE)} can be started, not {name}")
         return _Device(name, (name,), None, None)
-    source = request.scenario or (str(place.scenario) if place.scenario is not None else None)
-    if source is None:
-        raise ReplayError(
-            f"{place.log}: no scenario.toml beside it; say with --scenario what it is a run of,"
-            " or name a node of the DBC with --node"
-        )
-    scenario = load_scenario(source, request.overrides, scratch=scratch)
-    file = scratch / "scenario.toml"
-    build = next(e for e in entry_points(group="hil.node.unit") if e.name == name).load()
-    unit: Unit = build(file, contract)
-    return _Device(name, unit.nodes, scenario, file)
+    scenario, unit = load_unit(request, place, contract, scratch, ", or name a node of the DBC with --node")
+    return _Device(name, unit.nodes, scenario, scratch / SCENARIO_FILE)
 
 
 class _Plan(NamedTuple):
@@ -241,10 +238,8 @@ def _play(
             f"{bus}: already driven by another bench of this machine; end it, or take another -c"
         )
     if bus.interface == LOCAL_INTERFACE:
-        arguments = ["--channel", bus.channel, "--parent-pipe", *hub_arguments(bus)]
-        if options.priority:
-            arguments += ["--priority", str(options.priority + NODE_PRIORITY_OFFSET["hub"])]
-        hub = Child("hub", "hil.canbus.local", arguments, logs=scratch)
+        priority = options.priority + NODE_PRIORITY_OFFSET["hub"] if options.priority else 0
+        hub = Child("hub", "hil.canbus.local", hub_arguments(bus, priority), logs=scratch)
         stack.callback(hub.end)
         try:
             hub.wait_for_line("ready", start_limit_s())

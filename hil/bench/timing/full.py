@@ -117,9 +117,7 @@ class _Bench:
         """Start everything in the order in which it is needed."""
         request, bus, shared = self._request, self._bus, self._shared
         if bus.interface == "hil":
-            arguments = ["--channel", bus.channel, "--parent-pipe", *hub_arguments(bus)]
-            if request.priority:
-                arguments += ["--priority", str(self._priority("hub"))]
+            arguments = hub_arguments(bus, self._priority("hub"))
             self._spawn("hub", "hil.canbus.local", arguments).wait_for_line("ready", START_TIMEOUT_S, waiting)
         watched = [bus_identifier(self._contract.message(name)) for name in ("ODO_Motion", "ATO_Command")]
         self._odometry, self._command = watched
